@@ -5,8 +5,8 @@ Specimens go into files, files through the whole program, and errors are taken a
 
 import os
 import tempfile
-from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -35,6 +35,7 @@ from planish.validate.scenario import (
     Scenario,
     Values,
     in_order,
+    known,
 )
 from planish.validate.truth import Comparison, rms
 
@@ -51,9 +52,10 @@ def make_ledger(comparison: Comparison) -> Values:
         without coating). Units and sentences are in :data:`planish.validate.scenario.FIGURES`.
     """
     stages = MAP_STAGES if "linked" not in comparison.groups else (*MAP_STAGES, *LINK_STAGES)
-    return in_order(
-        {name: error for errors in stages for name, error in errors(comparison).items()}
-    )
+    values: Values = {}
+    for errors_of_stage in stages:
+        values |= errors_of_stage(comparison)
+    return in_order(values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,9 +147,8 @@ class Certificate:
     @property
     def passed(self) -> bool:
         """True if every limit is met and no check of a specimen that counts failed."""
-        return all(e.whole for e in self.judged) and all(
-            line.met is not False for line in self.lines().values()
-        )
+        is_met = all(line.met is not False for line in self.lines().values())
+        return is_met and all(entry.whole for entry in self.judged)
 
 
 def run_scenario(
@@ -218,20 +219,20 @@ def run_specimen(
             refusal = in_terminal_words(error.text).replace(f"{folder}{os.sep}", "")
             return Entry(seed=seed, values={}, refusal=refusal)
         progress("compare", "with the truth")
-        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
-        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
+        failed, looks = (
+            tuple(f"{check.name}: {check.sentence}" for check in run.results.checks_in(state))
+            for state in ("fail", "look")
+        )
         if scenario.second is not None:
             values = in_order(pair_errors(specimens, run))
             return Entry(seed=seed, values=values, failed=failed, looks=looks)
         comparison = Comparison(*specimens[0], run)
-        pictures = ()
+        entry = Entry(seed=seed, values=make_ledger(comparison), failed=failed, looks=looks)
         if draw and "linked" in run.groups:
             from planish.validate.example import draw_example  # which loads all that draws
 
-            pictures = tuple(draw_example(comparison, seed))
-        return Entry(
-            seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures
-        )
+            return replace(entry, pictures=tuple(draw_example(comparison, seed)))
+        return entry
 
 
 def _write_specimens(
@@ -318,7 +319,7 @@ def sensitivity(
         raise InputError(
             f"The scenario {scenario.name} does not even come through without nuisances: {refusal}"
         )
-    measured = {name: value for name, value in base_figures.items() if value is not None}
+    measured = known(base_figures)
     keys = _key_figures(measured)
     quiet = {stage: measured[name] for stage, name in keys.items()}
     rows: list[NuisanceRow] = []
@@ -332,21 +333,29 @@ def sensitivity(
     ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
     # Without the only nuisance nothing is left to compare.
     deviating = _deviating_stages(ratio) if len(names) > 1 else []
-    figures_without: dict[str, Values] = {}
-    if not deviating:
-        names = ()
-    for name in names:
-        remaining = tuple(other for other in names if other != name)
-        figures_without[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
+    together: dict[str, Texts] = {}
+    if deviating:
+        together = _together(deviating, keys, loud, _figures_without(names, measure))
     return Sensitivity(
         keys=keys,
         quiet=quiet,
         loud=loud,
         rows=tuple(rows),
         ratio=ratio,
-        together=_together(deviating, keys, loud, figures_without),
+        together=together,
         seeds=tuple(seed_list),
     )
+
+
+def _figures_without(
+    names: Sequence[str], measure: Callable[[str, Texts], tuple[Values, str | None]]
+) -> dict[str, Values]:
+    """Measure a scenario without each of its nuisances in turn."""
+    figures: dict[str, Values] = {}
+    for name in names:
+        remaining = tuple(other for other in names if other != name)
+        figures[name], _ = measure(f"all but {NUISANCES[name].title}", remaining)
+    return figures
 
 
 def _nuisances_of(scenario: Scenario) -> list[str]:
@@ -365,8 +374,7 @@ def _nuisances_of(scenario: Scenario) -> list[str]:
 
 def _deviating_stages(ratio: Values) -> list[str]:
     """Stages whose single errors do not add up to the whole."""
-    known_ratios = {stage: r for stage, r in ratio.items() if r is not None}
-    return [stage for stage, r in known_ratios.items() if not 1 / _AGREES <= r <= _AGREES]
+    return [stage for stage, r in known(ratio).items() if not 1 / _AGREES <= r <= _AGREES]
 
 
 def _key_figures(measured: Container[str]) -> dict[str, str]:
@@ -427,13 +435,13 @@ def make_row(
     Errors are carried along the line: the stage that suffers is the first one that grows at least
     half as much, relative to its own baseline, as the one that grows most.
     """
-    added = {stage: added_error(figures.get(key), quiet[stage]) for stage, key in keys.items()}
-    baselines = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
-    growth = {
-        stage: added_um / baselines[stage]
-        for stage, added_um in added.items()
-        if added_um is not None
-    }
+    added: Values = {}
+    growth: dict[str, float] = {}
+    for stage, key in keys.items():
+        error = added_error(figures.get(key), quiet[stage])
+        added[stage] = error
+        if error is not None:
+            growth[stage] = error / max(quiet[stage], _FLOOR[FIGURES[key].unit])
     max_growth = max(growth.values(), default=0.0)
     suffers = None
     # With less growth, in baselines, no stage is said to suffer.

@@ -8,12 +8,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import xarray as xr
+from numpy.polynomial import polynomial
 from scipy.spatial import KDTree
 
 from planish.analyze import correlate, pearson
 from planish.core.frame import Frame
-from planish.core.grid import Grid, pitch, values_at
+from planish.core.grid import Grid, centres_of, pitch, values_at
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats, Pair
 from planish.marks import find_holes
@@ -32,8 +32,10 @@ from planish.validate.truth import (
     field_at,
     mean_of,
     percentile,
+    points_of,
     rms,
     true_thickness,
+    volume_places,
 )
 
 
@@ -49,30 +51,26 @@ def section_errors(comparison: Comparison) -> Values:
     # Through z, a section shows the sheet from above, and its pose has other axes.
     if sections is None or frame.through == "z" or sections_um.size < 4:
         return {}
-    centre = {
+    centre: dict[str, Floats | float] = {
         frame.cols: float(surfaces["x"].values.mean()),
         frame.through: float(np.nanmean(surfaces["centre"].values)),
         frame.rows: sections_um,
     }
-    points = np.stack(
-        [np.broadcast_to(centre[axis], sections_um.shape) for axis in ("x", "y", "z")], axis=-1
-    )
+    points = points_of(centre)
     displacement = comparison.files.to_physical(points, sections) - points
-    line_fit = np.polynomial.polynomial.polyfit(sections_um, displacement, 1)
-    residual = displacement - np.polynomial.polynomial.polyval(sections_um, line_fit).T
+    line_fit = polynomial.polyfit(sections_um, displacement, 1)
+    residual = displacement - polynomial.polyval(sections_um, line_fit).T
     # In the physical frame x runs along the section, y across the sections and z through the sheet.
     # What varies more slowly than the run's cut-off is like the sheet's own bend: it is left alone.
     # The rest is jitter.
-    jitter = [
-        quick_part(sections_um, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"]))
-        for k in (0, 2)
-    ]
+    x_um, place_um, z_um = residual.T
+    cutoff_um = float(sections.attrs["cutoff_um"])
     return {
-        "sections_x_rms": rms(residual[:, 0]),
-        "sections_z_rms": rms(residual[:, 2]),
-        "sections_x_jitter": rms(jitter[0]),
-        "sections_z_jitter": rms(jitter[1]),
-        "sections_place_rms": rms(residual[:, 1]),
+        "sections_x_rms": rms(x_um),
+        "sections_z_rms": rms(z_um),
+        "sections_x_jitter": rms(quick_part(sections_um, x_um, cutoff_um=cutoff_um)),
+        "sections_z_jitter": rms(quick_part(sections_um, z_um, cutoff_um=cutoff_um)),
+        "sections_place_rms": rms(place_um),
     }
 
 
@@ -82,12 +80,10 @@ def surface_errors(comparison: Comparison) -> Values:
     values = Values()
     all_errors = list[Floats]()
     for face, field in zip(FACES, sheet.faces, strict=True):
-        heights = np.where(
-            comparison.measured, comparison.at_columns(surfaces[face].values), np.nan
-        )
-        u, v, s = np.moveaxis(
-            comparison.material_at(comparison.places(heights, *comparison.columns)), -1, 0
-        )
+        heights = comparison.at_columns(surfaces[face].values)
+        heights[~comparison.measured] = np.nan
+        material = comparison.material_over(heights, *comparison.columns)
+        u, v, s = np.moveaxis(material, -1, 0)
         errors = s - field_at(sheet, field, u, v)
         values |= bias_rmse_p95(face, errors)
         all_errors.append(errors[np.isfinite(errors)])
@@ -111,15 +107,12 @@ def centre_errors(comparison: Comparison) -> Values:
 
     The angle between the normals is in degrees.
     """
-    u, v, s = np.moveaxis(
-        np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0
-    )
+    material = np.where(comparison.measured[..., None], comparison.material, np.nan)
+    u, v, s = np.moveaxis(material, -1, 0)
     centre = comparison.surfaces["centre"].values
     # Neighbouring sections scatter against each other: their normals are of a wider difference.
-    half_steps = [
-        max(1, round(20.0 / p)) if "sections" in comparison.groups else 1
-        for p in pitch(comparison.surfaces)
-    ]
+    half_width_um = 20.0 if "sections" in comparison.groups else 0.0
+    half_steps = [max(1, round(half_width_um / p)) for p in pitch(comparison.surfaces)]
     tangents: list[Floats] = []
     for axis, (n, r) in enumerate(zip(centre.shape, half_steps, strict=True)):
         end_points: list[Floats] = []
@@ -127,18 +120,16 @@ def centre_errors(comparison: Comparison) -> Values:
             index = list(comparison.columns)
             index[axis] = np.clip(index[axis] + offset, 0, n - 1)
             heights = np.asarray(centre[np.ix_(*index)], dtype=np.float64)
-            end_points.append(
-                comparison.physical_at(comparison.places(heights, index[0], index[1]))
-            )
+            places = comparison.places(heights, index[0], index[1])
+            end_points.append(comparison.physical_at(places))
         tangents.append(end_points[1] - end_points[0])
     normals = np.cross(tangents[1], tangents[0])
     length = np.linalg.norm(normals, axis=-1)
     is_valid = np.isfinite(u) & (length > 0)
     true_normals = comparison.specimen.warp.normals(u[is_valid], v[is_valid])
     # The arc sine of the cross product keeps small angles, which the arc cosine loses to rounding.
-    sine = np.linalg.norm(
-        np.cross(normals[is_valid] / length[is_valid][:, None], true_normals), axis=-1
-    )
+    unit_normals = normals[is_valid] / length[is_valid][:, None]
+    sine = np.linalg.norm(np.cross(unit_normals, true_normals), axis=-1)
     angle = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
     mean = mean_of(s)
     return {
@@ -155,13 +146,11 @@ def thickness_errors(comparison: Comparison) -> Values:
     values = Values()
     for name in THICKNESSES:
         measured = comparison.at_columns(comparison.surfaces[name].values)
-        values |= bias_rmse_p95(
-            f"column_{name}", measured - true_thickness(comparison.specimen.sheet, name, u, v)
-        )
+        errors = measured - true_thickness(comparison.specimen.sheet, name, u, v)
+        values |= bias_rmse_p95(f"column_{name}", errors)
         if (standard_errors := comparison.surfaces.get(f"{name}_se")) is not None:
-            values[f"predicted_{name}"] = rms(
-                comparison.at_columns(standard_errors.values)[np.isfinite(measured)]
-            )
+            expected = comparison.at_columns(standard_errors.values)
+            values[f"predicted_{name}"] = rms(expected[np.isfinite(measured)])
     return values
 
 
@@ -179,13 +168,14 @@ def flattening_errors(comparison: Comparison) -> Values:
     is_valid = np.isfinite(flat_uv).all(axis=-1) & np.isfinite(true_uv).all(axis=-1)
     if np.count_nonzero(is_valid) < 3:
         return {}
-    stride = max(1, np.count_nonzero(is_valid) // FITTED)
-    fit_points = flat_uv[is_valid][::stride], true_uv[is_valid][::stride]
+    valid_flat_uv, valid_true_uv = flat_uv[is_valid], true_uv[is_valid]
+    stride = max(1, len(valid_flat_uv) // FITTED)
+    fit_points = valid_flat_uv[::stride], valid_true_uv[::stride]
     rigid, similar = (
-        fit_transform(*fit_points, model=m, mirrored=None, robust=False)
-        for m in ("rigid", "similarity")
+        fit_transform(*fit_points, model=model, mirrored=None, robust=False)
+        for model in ("rigid", "similarity")
     )
-    error_uv = true_uv[is_valid] - rigid.transform(flat_uv[is_valid])
+    error_uv = valid_true_uv - rigid.transform(valid_flat_uv)
     errors_um = np.hypot(*(error_uv - error_uv.mean(axis=0)).T)
     strains: list[Floats] = []
     for axis, step in enumerate(comparison.pitch_um):
@@ -209,7 +199,8 @@ def flattening_errors(comparison: Comparison) -> Values:
 # Points on the stretch of an outline within one cell: so close that the nearest one is as good as
 # the line.
 _PARTS = 4
-_RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
+_EIGHTHS = np.arange(8) * np.pi / 4
+_RING = np.stack([np.cos(_EIGHTHS), np.sin(_EIGHTHS)], axis=1)
 
 
 def pixel_errors(comparison: Comparison) -> Values:
@@ -228,11 +219,12 @@ def pixel_errors(comparison: Comparison) -> Values:
         is_valid = np.isfinite(linked_um) & np.isfinite(true_um)
         n_valid = int(np.count_nonzero(is_valid))
         # With fewer of the valid pixels, the thin region is some specks.
-        if n_valid and np.count_nonzero(true_um[is_valid] < thin_um) >= 0.002 * n_valid:
-            values["thin_dice"] = dice(linked_um < thin_um, (true_um < thin_um) & is_valid)
-            values["thin_lag"] = outline_lag(
-                linked_um, np.where(is_valid, true_um, np.nan), thin_um, pitch(comparison.linked)
-            )
+        is_thin = is_valid & (true_um < thin_um)
+        if n_valid and np.count_nonzero(is_thin) >= 0.002 * n_valid:
+            values["thin_dice"] = dice(linked_um < thin_um, is_thin)
+            valid_um = np.where(is_valid, true_um, np.nan)
+            lag_um = outline_lag(linked_um, valid_um, thin_um, pitch(comparison.linked))
+            values["thin_lag"] = lag_um
     return values
 
 
@@ -280,27 +272,23 @@ def hole_errors(comparison: Comparison) -> Values:
     hole_um = comparison.run.study.holes.hole_um
     true_uv = specimen.sheet.holes
     radius = 0.5 * float(np.mean(hole_um))
-    y, x = linked["y"].values, linked["x"].values
-    pixel = pitch(linked)
-    holes = find_holes(np.asarray(linked["image"].values), pixel_um=pixel, diameter_um=hole_um)
-    image_uv = np.asarray(specimen.pose.inverse(_xy(holes)), dtype=np.float64).reshape(-1, 2)
+    image = np.asarray(linked["image"].values)
+    holes = find_holes(image, pixel_um=pitch(linked), diameter_um=hole_um)
+    image_uv = specimen.pose.inverse(centres_of(holes))
     true_xy = specimen.pose(true_uv)
-    is_inside = np.all((true_xy > radius) & (true_xy < [x[-1] - radius, y[-1] - radius]), axis=1)
+    border_xy = [linked[axis].values[-1] - radius for axis in "xy"]
+    is_inside = np.all((true_xy > radius) & (true_xy < border_xy), axis=1)
     values = _side_errors(image_uv, true_uv, is_inside, "image")
-    holes = find_holes(
-        maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark"
-    )
-    moving = _xy(holes) + np.array([maps["u"].values[0], maps["v"].values[0]])
+    presence = maps["presence"].values
+    holes = find_holes(presence, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark")
+    moving = centres_of(holes) + np.array([maps["u"].values[0], maps["v"].values[0]])
     volume_xyz = values_at(maps, ("volume_x", "volume_y", "volume_z"), moving)
     volume_uv = comparison.material_at(volume_xyz)[:, :2]
     column_uv = comparison.material[np.isfinite(comparison.material[..., 0])][:, :2]
     rings = true_uv[:, None] + np.concatenate([np.zeros((1, 2)), radius * _RING])
-    distances_um = np.asarray(KDTree(column_uv).query(rings.reshape(-1, 2))[0]).reshape(
-        len(true_uv), -1
-    )
-    values |= _side_errors(
-        volume_uv, true_uv, np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1), "volume"
-    )
+    distances_um, _ = KDTree(column_uv).query(rings)
+    is_shown = np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1)
+    values |= _side_errors(volume_uv, true_uv, is_shown, "volume")
     image_um = values.get("fle_image")
     volume_um = values.get("fle_volume")
     if image_um is not None and volume_um is not None:
@@ -317,17 +305,16 @@ def _side_errors(holes_uv: Floats, true_uv: Floats, is_inside: Bools, side: str)
     if not len(true_uv):
         return {f"false_{side}": float(len(holes_uv))}
     distances_um = np.linalg.norm(holes_uv[:, None] - true_uv[None], axis=-1)
+    errors_um = distances_um.min(axis=1)
     # a third of a hole: nearer than that it is the same one.
-    is_true = distances_um.min(axis=1) < 60.0
+    is_true = errors_um < 60.0
     is_detected = np.zeros(len(true_uv), dtype=bool)
     is_detected[distances_um.argmin(axis=1)[is_true]] = True
-    errors = distances_um.min(axis=1)[is_true]
+    recall = float(is_detected[is_inside].mean()) if is_inside.any() else None
     return {
-        f"recall_{side}": (
-            float((is_detected & is_inside).sum() / is_inside.sum()) if is_inside.any() else None
-        ),
+        f"recall_{side}": recall,
         f"false_{side}": float(np.count_nonzero(~is_true)),
-        f"fle_{side}": rms(errors),
+        f"fle_{side}": rms(errors_um[is_true]),
     }
 
 
@@ -337,17 +324,17 @@ def registration_errors(comparison: Comparison) -> Values:
     Also what the marks say of it, and what it would be without flattening.
     """
     fit, errors_um = comparison.fit, comparison.place_error_um
-    expected_rms = rms(
-        comparison.linked["expected_error"].values[comparison.valid].astype(np.float64)
-    )
+    expected_um = comparison.linked["expected_error"].values[comparison.valid]
+    expected_rms = rms(expected_um.astype(np.float64))
     true_rms = rms(errors_um)
-    scale = None
+    scale = ratio = None
+    if true_rms is not None and expected_rms:
+        ratio = true_rms / expected_rms
     uv = np.stack([coordinate[comparison.valid] for coordinate in comparison.true_uv], axis=1)
     if len(uv) >= 3:  # of the similarity that is nearest to the true pose over the valid pixels
         uv = uv[:: max(1, len(uv) // FITTED)]
-        scale = fit_transform(
-            uv, comparison.specimen.pose(uv), mirrored=None, robust=False
-        ).transform.scale
+        posed = fit_transform(uv, comparison.specimen.pose(uv), mirrored=None, robust=False)
+        scale = posed.transform.scale
     return {
         "tre_median": percentile(errors_um, 50),
         "tre_p95": percentile(errors_um, 95),
@@ -356,9 +343,7 @@ def registration_errors(comparison: Comparison) -> Values:
         "fre_rms": fit.rms_um,
         "loo_rms": rms(fit.leave_one_out_um),
         "predicted_rms": expected_rms,
-        "predicted_ratio": (
-            true_rms / expected_rms if true_rms is not None and expected_rms else None
-        ),
+        "predicted_ratio": ratio,
         "scale_deviation": 100.0 * (fit.transform.scale / scale - 1.0) if scale else None,
         "tre_projection_p95": _projection_error(comparison, fit, scale),
     }
@@ -377,17 +362,13 @@ def _projection_error(
         return None
     projected = fit_transform(marks_uv, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
     run_uv = _flat_places(comparison, names)
-    is_valid = (
-        comparison.measured
-        & np.isfinite(comparison.material[..., 0])
-        & np.isfinite(run_uv).all(axis=-1)
-    )
+    is_valid = comparison.measured & np.isfinite(comparison.material[..., 0])
+    is_valid &= np.isfinite(run_uv).all(axis=-1)
     true_xy = comparison.specimen.pose(comparison.material[is_valid][:, :2])
-    x, y = (comparison.linked[d].values for d in "xy")
-    is_inside = np.all((true_xy >= 0) & (true_xy <= [x[-1], y[-1]]), axis=1)
-    return percentile(
-        np.linalg.norm(projected(run_uv[is_valid]) - true_xy, axis=1)[is_inside] / scale, 95
-    )
+    border_xy = [comparison.linked[axis].values[-1] for axis in "xy"]
+    is_inside = np.all((true_xy >= 0) & (true_xy <= border_xy), axis=1)
+    errors_um = np.linalg.norm(projected(run_uv[is_valid]) - true_xy, axis=1)
+    return percentile(errors_um[is_inside] / scale, 95)
 
 
 def resampling_errors(comparison: Comparison) -> Values:
@@ -399,16 +380,14 @@ def resampling_errors(comparison: Comparison) -> Values:
     rows = np.arange(max_rows) + (height - max_rows) // 2
     cols = np.arange(width)
     centre = np.asarray(surfaces["centre"].values[rows], dtype=np.float64)
-    u, v, _ = np.moveaxis(comparison.material_at(comparison.places(centre, rows, cols)), -1, 0)
+    u, v, _ = np.moveaxis(comparison.material_over(centre, rows, cols), -1, 0)
     fit = comparison.fit
     uv = np.stack([flat["u"].values[rows], flat["v"].values[rows]], axis=-1)
-    places = find_places(
-        fit.transform(uv), Grid.of(linked), least_um=min(pitch(surfaces)) * fit.transform.scale
-    )
+    least_um = min(pitch(surfaces)) * fit.transform.scale
+    places = find_places(fit.transform(uv), Grid.of(linked), least_um=least_um)
     resampled_um = resample(true_thickness(comparison.specimen.sheet, name, u, v), places)
-    true_um = comparison.pixel_thickness(
-        name, comparison.linked_material[..., 0], comparison.linked_material[..., 1]
-    )
+    pixel_u, pixel_v, _ = np.moveaxis(comparison.linked_material, -1, 0)
+    true_um = comparison.pixel_thickness(name, pixel_u, pixel_v)
     errors = np.where(comparison.valid, resampled_um - true_um, np.nan)
     return {"resampling_rmse": rms(errors), "resampling_p95": percentile(errors, 95)}
 
@@ -424,10 +403,9 @@ def statistic_errors(comparison: Comparison) -> Values:
     true_map = comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
     true_map[~np.isfinite(measured_map)] = np.nan
     point_um = comparison.run.study.correlate.point_um
-    pixel_r = [pearson(m, image) for m in (measured_map, true_map)]
-    point_r = [
-        correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured_map, true_map)
-    ]
+    maps = (measured_map, true_map)
+    pixel_r = [pearson(m, image) for m in maps]
+    point_r = [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in maps]
     values = Values()
     for key, (r_measured, r_true) in (("pixel", pixel_r), ("point", point_r)):
         names = (f"r_{key}", f"r_true_{key}", f"r_difference_{key}")
@@ -455,33 +433,24 @@ def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run)
     values: Values = {}
     materials: list[Floats] = []
     for name, (specimen, files), layer_maps in zip(PAIR, specimens, maps, strict=True):
-        places = np.stack(
-            [layer_maps[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1
-        )
         comparison = Comparison(specimen, files, replace(run, groups=run.sheets[name].groups))
-        materials.append(comparison.material_at(places.astype(np.float64)))
-        true_um = true_thickness(
-            specimen.sheet, "coating_top", materials[-1][..., 0], materials[-1][..., 1]
-        )
-        values[f"pair_coating_{name}_bias"] = mean_of(
-            layer_maps["coating_top"].values[valid] - true_um
-        )
+        places = volume_places(layer_maps)[valid].astype(np.float64)
+        material = comparison.material_at(places)
+        materials.append(material)
+        true_um = true_thickness(specimen.sheet, "coating_top", material[..., 0], material[..., 1])
+        errors_um = layer_maps["coating_top"].values[valid] - true_um
+        values[f"pair_coating_{name}_bias"] = mean_of(errors_um)
     distances_um = np.hypot(*(materials[0] - materials[1])[..., :2].T)
+    expected_um = maps[0]["expected_error"].values[valid]
     values["pair_median"] = percentile(distances_um, 50)
     values["pair_p95"] = percentile(distances_um, 95)
     values["pair_rms"] = rms(distances_um)
-    values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
+    values["pair_predicted_rms"] = rms(expected_um.astype(np.float64))
     rows = [row for row in run.results.correlations if row.a_map == "coating_top"]
     if rows:
         values["pair_r"], values["pair_r_point"] = rows[0].r, rows[1].r
         values["pair_difference_sd"] = rows[0].difference_sd
     return values
-
-
-def _xy(holes: xr.Dataset) -> Floats:
-    return (
-        np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64).reshape(-1, 2)
-    )
 
 
 MAP_STAGES = (section_errors, surface_errors, centre_errors, thickness_errors, flattening_errors)

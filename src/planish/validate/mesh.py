@@ -8,6 +8,7 @@ import time
 import numpy as np
 
 from planish.core.status import Outcome
+from planish.core.transform import grid_points
 from planish.core.typing import Floats
 from planish.flatten import relax_grid
 from planish.flatten.levels import of_springs
@@ -37,12 +38,11 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     }
     fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
     for suffix, mesh in (("", relaxed), ("_fine", fine)):
-        for name, size_error in zip(
-            ("width", "height", "aspect"), size_errors(mesh.uv, flat), strict=True
-        ):
-            values[f"mesh_{name}{suffix}"] = (
-                100.0 * float(size_error) if mesh.outcome is Outcome.RESTED else None
-            )
+        names = [f"mesh_{size}{suffix}" for size in ("width", "height", "aspect")]
+        values |= dict.fromkeys(names)
+        if mesh.outcome is Outcome.RESTED:
+            percents = 100.0 * size_errors(mesh.uv, flat)
+            values |= zip(names, percents.tolist(), strict=True)
     first_stop = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
     values["mesh_first"] = 100.0 * float(np.abs(size_errors(first_stop.uv, flat)).max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
@@ -59,7 +59,8 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     values["mesh_cylinder_seconds"] = time.perf_counter() - begin
     values["mesh_cylinder"] = node_error(relaxed.uv, unrolled(projected))
     squared_radius = np.sum((flat - flat.mean(axis=(0, 1))) ** 2, axis=-1)
-    dome = np.concatenate([flat, 2.0 * np.exp(-squared_radius / 72.0)[..., None]], axis=-1)
+    height = 2.0 * np.exp(-squared_radius / 72.0)
+    dome = np.concatenate([flat, height[..., None]], axis=-1)
     methods = ("multigrid", RelaxationParams(mean_speed=1e-4))
     multigrid_uv, dynamic_uv = (
         relax_grid(dome, method=method, rest="chord").uv for method in methods
@@ -69,8 +70,7 @@ def mesh_values(seed: int, *, once: bool) -> Values:
 
 def grid(rows: int, cols: int) -> Floats:
     """Nodes (rows, cols, 2) of a flat mesh of pitch 1."""
-    y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
-    return np.stack([x, y], axis=-1)
+    return grid_points(np.arange(float(cols)), np.arange(float(rows)))
 
 
 def rest_lengths(points: Floats) -> Floats:
@@ -101,12 +101,14 @@ def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
     """
     flat = grid(rows, cols)
     flat[..., 0] -= (cols - 1) / 2
-    return flat, np.concatenate([flat, np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)], axis=-1)
+    height = np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)
+    return flat, np.concatenate([flat, height], axis=-1)
 
 
 def unrolled(flat: Floats) -> Floats:
     """Unroll the cylinder: flat places of the nodes (rows, cols, 2) of its projection."""
-    return np.stack([_RADIUS * np.arcsin(flat[..., 0] / _RADIUS), flat[..., 1]], axis=-1)
+    arc = _RADIUS * np.arcsin(flat[..., 0] / _RADIUS)
+    return np.stack([arc, flat[..., 1]], axis=-1)
 
 
 def size_errors(uv: Floats, flat: Floats) -> Floats:

@@ -16,7 +16,6 @@ from planish.validate import table as tables
 from planish.validate.certify import Certificate, Entry, Sensitivity
 from planish.validate.scenario import FIGURES, STAGES
 
-_NAMES = {"coating_top": "coating thickness", "thickness": "sheet thickness"}
 _DOT_MARGIN = 6.0
 
 
@@ -25,12 +24,9 @@ def draw_expected(entries: Sequence[Entry]) -> Picture | None:
 
     None without a pair of them.
     """
-    error_pairs = [
-        (entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries
-    ]
-    pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64).reshape(
-        -1, 2
-    )
+    names = ("predicted_rms", "tre_rms")
+    error_pairs = [tuple(entry.values.get(name) for name in names) for entry in entries]
+    pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64)
     if not pairs.size:
         return None
     high = 1.15 * float(pairs.max())

@@ -115,9 +115,9 @@ class Limit(Params, populate_by_name=True):
 
     def met(self, value: float | None) -> bool:
         """Return True if a value keeps the limit; False for one that could not be measured."""
-        return value is not None and (
-            value >= self.bound if self.limit is None else abs(value) <= self.bound
-        )
+        if value is None:
+            return False
+        return value >= self.bound if self.limit is None else abs(value) <= self.bound
 
     def worst(self, values: list[float]) -> float:
         """The value that is nearest to missing the limit, or furthest beyond it."""
@@ -185,10 +185,9 @@ class Scenario(Params):
             (self.params if self.second is None else self.second_params)(0)
         except ValidationError as error:
             raise ValueError("; ".join(model_faults(error, ("specimen",)))) from error
+        n_volumes, image = (2, None) if self.second else (1, "image")
         try:
-            self.study_of(
-                [("volume", "z")] * (2 if self.second else 1), None if self.second else "image"
-            )
+            self.study_of([("volume", "z")] * n_volumes, image)
         except ValidationError as error:
             raise ValueError("; ".join(model_faults(error, ("study",)))) from error
         return self
@@ -205,16 +204,14 @@ class Scenario(Params):
         sheet = {
             name: tables.pop(name, {}) for name in ("volume", "surface", "properties", "flatten")
         }
-        layers: list[dict[str, Any]] = [
-            {"name": name} | _merged({"volume": {"path": str(path), "through": through}}, sheet)
-            for name, (path, through) in zip(
-                PAIR if self.second else ("sheet",), volumes, strict=True
-            )
-        ]
+        names = PAIR if self.second else ("sheet",)
+        layers: list[dict[str, Any]] = []
+        for name, (path, through) in zip(names, volumes, strict=True):
+            volume = {"volume": {"path": str(path), "through": through}}
+            layers.append({"name": name} | _merged(volume, sheet))
         if image is not None:
-            layers.append(
-                {"name": "image", "image": {"path": str(image)} | tables.pop("image", {})}
-            )
+            source = {"path": str(image)} | tables.pop("image", {})
+            layers.append({"name": "image", "image": source})
         return Study.model_validate({"layers": layers, **tables})
 
     def params(self, seed: int, nuisances: str | tuple[str, ...] | None = None) -> SpecimenParams:
@@ -224,9 +221,8 @@ class Scenario(Params):
         """
         chosen = self.nuisances if nuisances is None else nuisances
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
-        params = amended(
-            SpecimenParams(size_um=size, paper=PRESETS[self.preset][1].as_slab()), self.specimen
-        )
+        slab = PRESETS[self.preset][1].as_slab()
+        params = amended(SpecimenParams(size_um=size, paper=slab), self.specimen)
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
@@ -240,9 +236,13 @@ class Scenario(Params):
     @property
     def active(self) -> list[str]:
         """Names of the nuisances that are on and that the instrument can see."""
-        return nuisances_of(
-            self.params(0), "sections" if self.instrument == "sections" else "scanner"
-        )
+        instrument = "sections" if self.instrument == "sections" else "scanner"
+        return nuisances_of(self.params(0), instrument)
+
+
+def known(values: Mapping[str, float | None]) -> dict[str, float]:
+    """Those of some values that there are."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:

@@ -14,7 +14,7 @@ import numpy as np
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Entries, Floats, Pair, Texts
+from planish.core.typing import Entries, Floats, Texts
 from planish.marks import find_holes
 from planish.run import Run, open_run
 from planish.synthetic import SIZES_UM, SpecimenParams
@@ -49,14 +49,12 @@ def like_run(folder: Path) -> SpecimenTemplate:
         k: model.model_dump(mode="json", exclude_none=True, exclude=excluded_options)
         for k, model in tables.items()
     }
-    for read_section in (
-        template.scan,
-        template.paper,
-        template.warp,
-        template.camera,
-        template.holes,
-    ):
-        read_section()
+    template.scan()
+    template.greys()
+    template.paper()
+    template.warp()
+    template.camera()
+    template.holes()
     template.assumed.append(
         "Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off."
     )
@@ -73,9 +71,8 @@ class SpecimenTemplate:
         self.study: dict[str, Entries] = {}
         self.derived: list[str] = []  # sentences, as those assumed
         self.assumed: list[str] = []
-        self.layer, self.sheet = next(
-            (layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None
-        )
+        layers = run.results.layers
+        self.layer, self.sheet = next((layer, layer.sheet) for layer in layers if layer.sheet)
 
     @property
     def notes(self) -> Texts:
@@ -103,17 +100,15 @@ class SpecimenTemplate:
 
     def change(self, section: str, **values: Any) -> None:
         """Replace fields of one section of the parameters."""
-        self.params = replace(
-            self.params, **{section: replace(getattr(self.params, section), **values)}
-        )
+        changed = replace(getattr(self.params, section), **values)
+        self.params = replace(self.params, **{section: changed})
 
     def scan(self) -> None:
         """Voxel, size, blur and noise of the volume."""
         surfaces, voxel_sides = self.sheet.surfaces, self.layer.source.size_um
         voxel_um = float(np.exp(np.mean(np.log(voxel_sides))))
-        sides = dict(
-            zip("zyx", np.multiply(self.layer.source.shape, voxel_sides).tolist(), strict=True)
-        )
+        sides_um = np.multiply(self.layer.source.shape, voxel_sides).tolist()
+        sides = dict(zip("zyx", sides_um, strict=True))
         field = sides[surfaces.col_axis], sides[surfaces.row_axis]
         wide, high = np.clip(field, _LEAST_UM, SIZES_UM["T1"]).tolist()
         self.params = replace(self.params, size_um=(wide, high))
@@ -134,6 +129,10 @@ class SpecimenTemplate:
             self.derived.append(
                 f"Blur of {blur:.2g} um (standard deviation), learnt by the surface search."
             )
+
+    def greys(self) -> None:
+        """Noise of the volume, and how bright base and coating are in it."""
+        surfaces = self.sheet.surfaces
         air, base, noise = surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise
         if air is None or base is None or noise is None:
             return
@@ -185,18 +184,14 @@ class SpecimenTemplate:
         steps = pitch(surfaces)
         # The slopes of the warp are those of the centre surface over 300 um.
         strides = [max(1, int(300.0 / 4 / p)) for p in steps]
-        centre = np.asarray(
-            surfaces["centre"].values[:: strides[0], :: strides[1]], dtype=np.float64
-        )
+        spacing_um = [e * p for e, p in zip(strides, steps, strict=True)]
+        centre = surfaces["centre"].values[:: strides[0], :: strides[1]].astype(np.float64)
         if min(centre.shape) < 3:
             raise InputError(
                 "The field of the run is too small to measure how the sheet is bent. Give a larger"
                 " one."
             )
-        dz_dy, dz_dx = (
-            np.gradient(centre, e * p, axis=i)
-            for i, (e, p) in enumerate(zip(strides, steps, strict=True))
-        )
+        dz_dy, dz_dx = (np.gradient(centre, um, axis=axis) for axis, um in enumerate(spacing_um))
         is_finite = np.isfinite(dz_dy) & np.isfinite(dz_dx)
         if np.count_nonzero(is_finite) < 10:
             raise InputError(
@@ -211,16 +206,16 @@ class SpecimenTemplate:
         steepest_slope = float(np.percentile(np.abs(ruled_slopes), 95))
         if Frame.of(surfaces).mirrored:
             directions = directions * np.array([[-1.0], [1.0]])
-        ruling = (float(np.rad2deg(np.arctan2(*directions[::-1, 1]))) + 90.0) % 180.0 - 90.0
-        wavelength_um = _wavelength(centre, strides, steps, steepest_slope)
+        steepest_deg = float(np.rad2deg(np.arctan2(*directions[::-1, 1])))
+        ruling = (steepest_deg + 90.0) % 180.0 - 90.0
+        wavelength_um = _wavelength(centre, spacing_um, steepest_slope)
         self.change("warp", slope=steepest_slope, wavelength_um=wavelength_um, ruling_deg=ruling)
         self.derived.append(
             f"Slopes of up to {steepest_slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves"
             f" of {wavelength_um:.0f} um."
         )
-        share = float(
-            np.sqrt(np.mean(cross_slopes**2) / max(float(np.mean(ruled_slopes**2)), 1e-12))
-        )
+        ruled_square = max(float(np.mean(ruled_slopes**2)), 1e-12)
+        share = float(np.sqrt(np.mean(cross_slopes**2) / ruled_square))
         self.assumed.append(
             f"The sheet is bent in one direction only; across it the slopes are {share:.2g} times"
             " as large."
@@ -274,15 +269,13 @@ class SpecimenTemplate:
     def holes(self) -> None:
         """Number and diameter of the holes that the run's image shows."""
         width, height = self.params.size_um
-        most_holes = max(
-            _LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2)
-        )
+        inner_um2 = (width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM)
+        most_holes = max(_LEAST_HOLES, int(inner_um2 / _HOLE_UM2))
         diameters_um = np.empty(0)
         hole_um = self.run.study.holes.hole_um
         if (linked := self.run.groups.get("linked")) is not None:
-            holes = find_holes(
-                np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=hole_um
-            )
+            image = np.asarray(linked["image"].values)
+            holes = find_holes(image, pixel_um=pitch(linked), diameter_um=hole_um)
             diameters_um = np.asarray(holes["diameter"].values, dtype=np.float64)
         if diameters_um.size > 1:
             median_um = float(np.median(diameters_um))
@@ -295,25 +288,23 @@ class SpecimenTemplate:
             self.assumed.append(
                 f"Holes of {self.params.holes.diameter_um:.3g} um: the image of the run shows none."
             )
-        count = min(
-            max(_LEAST_HOLES, diameters_um.size if diameters_um.size > 1 else 0), most_holes
-        )
+        count = min(max(_LEAST_HOLES, diameters_um.size), most_holes)
         self.change("holes", pattern="irregular", count=count)
         self.assumed.append(
             f"{count} holes are scattered over each specimen, and not where they are in the run."
         )
 
 
-def _wavelength(centre: Floats, strides: list[int], steps: Pair, slope: float) -> float:
+def _wavelength(centre: Floats, spacing_um: list[float], slope: float) -> float:
     """Return the wavelength of a sine with this steepest slope and the centre surface's height.
 
     It is 2 pi A / slope.
     """
     heights = _finite(centre)
-    y, x = np.indices(centre.shape)[:, np.isfinite(centre)]
-    plane = np.stack([np.ones(heights.size), y.astype(np.float64), x.astype(np.float64)], axis=1)
+    rows, cols = np.nonzero(np.isfinite(centre))
+    plane = np.stack([np.ones(heights.size), rows, cols], axis=1)
     detrended = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
-    span = max(n * e * p for n, e, p in zip(centre.shape, strides, steps, strict=True))
+    span = max(n * um for n, um in zip(centre.shape, spacing_um, strict=True))
     amplitude = float(np.sqrt(2.0) * detrended.std())
     # Shorter waves than the surface search passes cannot be in its result; longer ones than the
     # field look like a tilt.

@@ -9,8 +9,8 @@ from typing import Any
 from planish import __version__
 from planish.core.numbers import fixed, in_ascii, length, number, percent, unit
 from planish.synthetic.presets import NUISANCES
-from planish.validate.certify import Certificate, LedgerLine, NuisanceRow, Sensitivity
-from planish.validate.scenario import FIGURES, STAGES, Figure, Values
+from planish.validate.certify import Certificate, Entry, LedgerLine, NuisanceRow, Sensitivity
+from planish.validate.scenario import FIGURES, STAGES, Figure, Values, known
 
 NONE = "-"
 STATES = {None: "", True: "met", False: "missed"}
@@ -93,39 +93,42 @@ def _key_cells(values: Values, keys: dict[str, str]) -> list[str]:
 
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """The certificate as a section of Markdown."""
-    lines = [
-        f"## {certificate.scenario.title}",
-        "",
-        f"{verdict(certificate)} {summary(certificate)}",
-        "",
-    ]
-    entries = certificate.entries
-    faults = [f"- Seed {entry.seed}: {entry.refusal}" for entry in entries if entry.refusal]
-    for entry in entries:
-        faults += [f"- Seed {entry.seed}, failed: {check}" for check in entry.failed]
-    for bullets in ([f"- {note}" for note in certificate.notes], faults):
+    sentences = f"{verdict(certificate)} {summary(certificate)}"
+    lines = [f"## {certificate.scenario.title}", "", sentences, ""]
+    for bullets in (certificate.notes, _fault_texts(certificate.entries)):
         if bullets:
-            lines += [*bullets, ""]
-    lines += [
-        "| Stage | Figure | Unit | Mean | sd | Worst | Limit | |",
-        "|---|---|---|---:|---:|---:|---:|---|",
-    ]
+            lines += [*(f"- {bullet}" for bullet in bullets), ""]
+    lines.append("| Stage | Figure | Unit | Mean | sd | Worst | Limit | |")
+    lines.append("|---|---|---|---:|---:|---:|---:|---|")
     for stage, group in by_stage(certificate):
-        lines += [_table_line([stage, *_figure_cells(group[0])])]
-        lines += [_table_line(["", *_figure_cells(line)]) for line in group[1:]]
+        titles = [stage, *[""] * (len(group) - 1)]
+        rows = zip(titles, map(_figure_cells, group), strict=True)
+        lines += [_table_line([title, *row]) for title, row in rows]
     if table is not None:
-        heading, rows = sensitivity_rows(table)
-        lines += [
-            "",
-            "What each nuisance alone adds to the key figure of each stage, in squares:",
-            "",
-            _table_line(heading),
-            "|---|" + "---:|" * (len(heading) - 2) + "---|",
-            *map(_table_line, rows),
-            "",
-            *(f"- {sum_sentence(stage, table)}" for stage in table.keys),
-        ]
+        lines += _sensitivity_lines(table)
     return "\n".join(lines) + "\n"
+
+
+def _fault_texts(entries: Sequence[Entry]) -> list[str]:
+    texts = [f"Seed {entry.seed}: {entry.refusal}" for entry in entries if entry.refusal]
+    for entry in entries:
+        texts += [f"Seed {entry.seed}, failed: {check}" for check in entry.failed]
+    return texts
+
+
+def _sensitivity_lines(table: Sensitivity) -> list[str]:
+    heading, rows = sensitivity_rows(table)
+    sentences = [f"- {sum_sentence(stage, table)}" for stage in table.keys]
+    return [
+        "",
+        "What each nuisance alone adds to the key figure of each stage, in squares:",
+        "",
+        _table_line(heading),
+        "|---|" + "---:|" * (len(heading) - 2) + "---|",
+        *map(_table_line, rows),
+        "",
+        *sentences,
+    ]
 
 
 def _figure_cells(line: LedgerLine) -> list[str]:
@@ -147,6 +150,10 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
     """
     lines = certificate.lines()
     options: dict[str, Any] = {"mode": "json", "by_alias": True, "exclude_none": True}
+    limits: list[dict[str, Any]] = []
+    for name, limit in certificate.scenario.limits.items():
+        outcome = {"name": name, "value": lines[name].worst, "met": lines[name].met}
+        limits.append(outcome | limit.model_dump(**options))
     data: dict[str, Any] = {
         "planish": __version__,
         "scenario": certificate.scenario.model_dump(**options),
@@ -155,36 +162,25 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
         "passed": certificate.passed,
         "notes": list(certificate.notes),
         "figures": {name: _figure_json(line) for name, line in lines.items() if line.measured},
-        "limits": [
-            {
-                "name": name,
-                "value": lines[name].worst,
-                "met": lines[name].met,
-                **limit.model_dump(**options),
-            }
-            for name, limit in certificate.scenario.limits.items()
-        ],
-        "seeds": [
-            {
-                "seed": e.seed,
-                "refusal": e.refusal,
-                "failed": list(e.failed),
-                "looks": list(e.looks),
-                "values": e.values,
-            }
-            for e in certificate.entries
-        ],
+        "limits": limits,
+        "seeds": [_entry_json(entry) for entry in certificate.entries],
     }
     if table is not None:
         # JSON has no infinity: a sum against nothing at all has no ratio.
-        ratio = {
-            stage: None if value == float("inf") else value for stage, value in table.ratio.items()
-        }
-        data["sensitivity"] = asdict(table) | {
-            "ratio": ratio,
-            "sentences": sensitivity_sentences(table),
-        }
+        ratio = {stage: None if r == float("inf") else r for stage, r in table.ratio.items()}
+        sentences = sensitivity_sentences(table)
+        data["sensitivity"] = asdict(table) | {"ratio": ratio, "sentences": sentences}
     return data
+
+
+def _entry_json(entry: Entry) -> dict[str, Any]:
+    return {
+        "seed": entry.seed,
+        "refusal": entry.refusal,
+        "failed": list(entry.failed),
+        "looks": list(entry.looks),
+        "values": entry.values,
+    }
 
 
 def _figure_json(line: LedgerLine) -> dict[str, Any]:
@@ -211,7 +207,7 @@ def verdict(certificate: Certificate) -> str:
     lines = certificate.lines()
     if certificate.scenario.kind == "mesh":
         return _mesh_verdict(lines)
-    means = {name: line.mean for name, line in lines.items() if line.mean is not None}
+    means = known({name: line.mean for name, line in lines.items()})
     if not means:
         return "The program gave no result on specimens like these."
     sentences = list[str]()
@@ -224,9 +220,8 @@ def verdict(certificate: Certificate) -> str:
         if name in means
     ]
     if clauses:
-        sentences.append(
-            f"At a pixel {', '.join(clauses)} (rms).".replace(" by ", " is off by ", 1)
-        )
+        clauses_text = ", ".join(clauses).replace(" by ", " is off by ", 1)
+        sentences.append(f"At a pixel {clauses_text} (rms).")
     if not sentences:
         return "The maps of specimens like these were made, but not linked to an image."
     return " ".join(sentences)
@@ -276,7 +271,8 @@ def limit_text(line: LedgerLine) -> str:
     """Write the limit of a figure with its sign and unit; empty without one."""
     if line.limit is None:
         return ""
-    return f"{'≥' if line.limit.limit is None else '≤'} {with_unit(line.figure, line.limit.bound)}"
+    sign = "≥" if line.limit.limit is None else "≤"
+    return f"{sign} {with_unit(line.figure, line.limit.bound)}"
 
 
 def with_unit(figure: Figure, value: float | None) -> str:
@@ -287,10 +283,8 @@ def with_unit(figure: Figure, value: float | None) -> str:
 
 def sensitivity_sentences(table: Sensitivity) -> list[str]:
     """Name the stage each nuisance harms, then say of each stage if its single errors add up."""
-    return [
-        *(row_sentence(row) for row in table.rows),
-        *(sum_sentence(stage, table) for stage in table.keys),
-    ]
+    sums = [sum_sentence(stage, table) for stage in table.keys]
+    return [*map(row_sentence, table.rows), *sums]
 
 
 def row_sentence(row: NuisanceRow) -> str:

@@ -12,6 +12,7 @@ import xarray as xr
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.transform import grid_points
 from planish.core.typing import Array, Bools, Floats, Ints, Pair, Singles
 from planish.register import FittedTransform
 from planish.run import Run
@@ -58,7 +59,8 @@ class Comparison:
     @cached_property
     def pitch_um(self) -> Pair:
         """Distance of neighbours among the chosen columns, along rows and columns."""
-        step = int(np.diff(self.columns[0][:2])[0]) if self.columns[0].size > 1 else 1
+        rows, _ = self.columns
+        step = int(rows[1]) if rows.size > 1 else 1
         down, across = pitch(self.surfaces)
         return step * down, step * across
 
@@ -69,9 +71,7 @@ class Comparison:
     @cached_property
     def material(self) -> Floats:
         """True material (rows, cols, 3) of the points of the centre surface that the run found."""
-        return self.material_at(
-            self.places(self.at_columns(self.surfaces["centre"].values), *self.columns)
-        )
+        return self.material_over(self.at_columns(self.surfaces["centre"].values), *self.columns)
 
     @cached_property
     def measured(self) -> Bools:
@@ -89,9 +89,11 @@ class Comparison:
             frame.cols: self.surfaces["x"].values[cols][None, :],
             frame.through: np.asarray(heights, dtype=np.float64),
         }
-        return np.stack(
-            [np.broadcast_to(coordinates[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1
-        )
+        return points_of(coordinates)
+
+    def material_over(self, heights: Floats, rows: Ints, cols: Ints) -> Floats:
+        """Material at heights over the columns ``rows`` and ``cols``."""
+        return self.material_at(self.places(heights, rows, cols))
 
     def physical_at(self, places: Floats) -> Floats:
         """Places (..., 3) in space of places in the file."""
@@ -125,15 +127,13 @@ class Comparison:
     @cached_property
     def true_uv(self) -> tuple[Floats, Floats]:
         """True material (u, v) of the pixels."""
-        truth = self.specimen.truth
-        return np.asarray(truth["u"].values, np.float64), np.asarray(truth["v"].values, np.float64)
+        u, v = (np.asarray(self.specimen.truth[axis].values, np.float64) for axis in "uv")
+        return u, v
 
     @cached_property
     def linked_material(self) -> Floats:
         """Material (y, x, 3) at the place in the volume that the run gives for each valid pixel."""
-        places = np.stack(
-            [self.linked[f"volume_{axis}"].values for axis in ("x", "y", "z")], axis=-1
-        )
+        places = volume_places(self.linked)
         return self.material_at(np.where(self.valid[..., None], places, np.nan))
 
     @cached_property
@@ -144,7 +144,7 @@ class Comparison:
 
     def linked_values(self, name: str) -> Floats:
         """A property as it was linked; NaN where a pixel is not valid."""
-        return np.where(self.valid, np.asarray(self.linked[name].values, dtype=np.float64), np.nan)
+        return np.where(self.valid, self.linked[name].values.astype(np.float64), np.nan)
 
     def pixel_thickness(self, name: str, u: Floats, v: Floats) -> Floats:
         """True thickness in um as the mean over a pixel's area around the material (u, v)."""
@@ -166,10 +166,20 @@ class Comparison:
             # Of a pixel that counts as a point: the sheet holds little below.
             n = max(1, round(step / 4.0))
             axis_offsets.append(step * ((np.arange(n) + 0.5) / n - 0.5))
-        offsets = np.stack(np.meshgrid(*axis_offsets[::-1]), axis=-1).reshape(-1, 2)
+        offsets = grid_points(*axis_offsets[::-1]).reshape(-1, 2)
         centre = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
         inverse = self.specimen.pose.inverse
         return np.asarray(inverse(centre + offsets) - inverse(centre[None]), dtype=np.float64)
+
+
+def points_of(coordinates: Mapping[str, Floats | float]) -> Floats:
+    """Points (..., 3) of their coordinates by axis, which are spread out against each other."""
+    return np.stack(np.broadcast_arrays(*(coordinates[axis] for axis in "xyz")), axis=-1)
+
+
+def volume_places(maps: xr.Dataset) -> Floats:
+    """Places (y, x, 3) in the volume of the pixels of maps, um."""
+    return np.stack([maps[f"volume_{axis}"].values for axis in "xyz"], axis=-1)
 
 
 def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Floats:
