@@ -306,7 +306,10 @@ def referenced_file(
     return target
 
 
-def describe_volumes(volumes: Sequence[tuple[str, Shape, str]], name: str) -> str:
+ListedVolume = tuple[str, Shape, str]  # name, shape and type of a volume in a file
+
+
+def describe_volumes(volumes: Sequence[ListedVolume], name: str) -> str:
     """List the volumes (name, shape, type) of a file, and say how one is chosen."""
     if not volumes:
         return ADVICE
@@ -317,7 +320,7 @@ def describe_volumes(volumes: Sequence[tuple[str, Shape, str]], name: str) -> st
     return f"Its volumes are {volumes_text}{more_text}: choose one as {name}:{volumes[0][0]}."
 
 
-def only_volume(volumes: Sequence[tuple[str, Shape, str]], name: str) -> str:
+def only_volume(volumes: Sequence[ListedVolume], name: str) -> str:
     """Name of the only volume of a file."""
     if len(volumes) != 1:
         count_text = f"{len(volumes)} volumes" if volumes else "no volume"

@@ -30,6 +30,7 @@ from planish.io.attributes import (
 )
 from planish.io.axes import AxisNames, extended_axes, place_axes
 from planish.io.formats import (
+    ListedVolume,
     LoadedVolume,
     Place,
     check_chunks,
@@ -170,9 +171,9 @@ def _shape_of(dataset: Any) -> Shape:
     return tuple(map(int, dataset.shape or ()))
 
 
-def volumes_in(path: Path) -> list[tuple[str, Shape, str]]:
+def volumes_in(path: Path) -> list[ListedVolume]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
-    volumes: list[tuple[str, Shape, str]] = []
+    volumes: list[ListedVolume] = []
     visit_count = count()
 
     def note_volume(name: str, member: Any) -> bool | None:

@@ -40,6 +40,7 @@ from planish.io.sizes import (
     PIXEL,
     USUAL_VOXEL_UM,
     VOXEL,
+    SizeAndSource,
     Stated,
     agreed_size,
     doubt_of_size,
@@ -51,7 +52,7 @@ from planish.io.volume import load_volume, open_volume
 SENTENCES = ("doubts", "notes")  # attributes of a volume that are said on their own
 T = TypeVar("T")
 # Finds the size and its source, or raises SizeError.
-Agreed = Callable[..., tuple[tuple[float, ...], str]]
+Agreed = Callable[..., SizeAndSource]
 
 
 class _Look(NamedTuple):

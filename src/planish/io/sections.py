@@ -24,7 +24,7 @@ from planish.io.guard import size_of_file
 from planish.io.image import picture_attrs
 from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
-from planish.io.sizes import VOXEL, Stated, agreed_size, size_attrs, size_per_axis
+from planish.io.sizes import VOXEL, SizeAndSource, Stated, agreed_size, size_attrs, size_per_axis
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")
@@ -57,7 +57,7 @@ class SectionStack(NamedTuple):
 
     def agreed_size(
         self, voxel_um: float | Sequence[float] | None, *, override: bool, unusual: bool
-    ) -> tuple[tuple[float, ...], str]:
+    ) -> SizeAndSource:
         """Join the median step of the counter with the pixel size of metadata and user."""
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))

@@ -37,6 +37,9 @@ NO_SIZE = (None, None, None)  # of a voxel, where the metadata are silent
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
 
 
+SizeAndSource = tuple[tuple[float, ...], str]  # in um along each axis, and what states it
+
+
 class Stated(NamedTuple):
     """Size as one kind of metadata states it."""
 
@@ -137,7 +140,7 @@ def agreed_size(
     asked: Asked,
     override: bool = False,
     unusual: bool = False,
-) -> tuple[tuple[float, ...], str]:
+) -> SizeAndSource:
     """Find the one size that metadata and user agree on, and where it comes from.
 
     Parameters
