@@ -10,7 +10,7 @@ import numpy as np
 
 from planish.core.robust import running_sums
 from planish.core.typing import Bools, Floats, Pair
-from planish.correct.params import Cupping, Trend
+from planish.correct.params import Cupping, Trend, Trends
 from planish.correct.sums import (
     BASE,
     BRIGHT,
@@ -67,7 +67,7 @@ def factor(powers: tuple[float, ...], share: Floats) -> Floats:
 
 def find_cupping(
     sums: Sums, turning: Turning, levels: Levels, rings: Floats
-) -> tuple[Cupping | None, tuple[Trend, ...], str]:
+) -> tuple[Cupping | None, Trends, str]:
     """Find the factor that base and coating share, each material's trend, and what to say of it.
 
     ``rings`` (bin,) are still in the volume, as a share of the contrast: no part of the trend. The
@@ -90,7 +90,7 @@ def find_cupping(
     offset = np.bincount(coarse_bin, sheet_counts * rings, COARSE) / weights
     share = turning.coarse_um / reach_um
     fits: list[_Fit] = []
-    trends: tuple[Trend, ...] = ()
+    trends: Trends = ()
     for material in (BASE, BRIGHT):
         fit = _fit_material(histograms, material, levels, share, offset)
         if fit is not None:

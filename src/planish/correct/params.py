@@ -86,6 +86,9 @@ class Trend(ResultModel):
     after: float | None = optional("The same after the correction.")
 
 
+Trends = tuple[Trend, ...]
+
+
 class Cupping(ResultModel):
     """The cupping that was corrected."""
 
@@ -113,7 +116,7 @@ class CorrectionRecord(ResultModel):
         " contrast."
     )
     cupping: Cupping | None = optional("None where nothing was corrected.")
-    trends: tuple[Trend, ...] = Field(
+    trends: Trends = Field(
         default=(), description="Of each material against the radius, before and after."
     )
     clipped: float = Field(

@@ -240,6 +240,7 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Tu
 
 Counts = NDArray[np.int64]
 Slice = NDArray[Any]
+NumberedSlice = tuple[int, Slice]
 Labels = NDArray[np.uint8]  # 0, or one more than the number of the material
 AIR, BASE, BRIGHT = 0, 1, 2
 MATERIALS = ("air", "base", "coating")
@@ -270,7 +271,7 @@ class Sums:
 
 def slices_of(
     volume: xr.DataArray, turning: Turning, *, max_slices: int | None = None, memory_bytes: int
-) -> Iterator[tuple[int, Slice]]:
+) -> Iterator[NumberedSlice]:
     """Give (number, slice across the axis) in order; every so many where the volume is large."""
     length, rows, cols = turning.shape
     stride = -(-length * rows * cols // _MOST) if max_slices is None else length // max_slices
@@ -288,7 +289,7 @@ def slices_of(
             yield number, np.ascontiguousarray(plane)
 
 
-def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels) -> Sums:
+def take_sums(slices: Iterator[NumberedSlice], turning: Turning, levels: Levels) -> Sums:
     """Add up all slices."""
     length = turning.shape[0]
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
@@ -360,9 +361,7 @@ def _add_to_rings(
     sums.total[block] += cell_sums.astype(np.int64).reshape(counts.shape)
 
 
-def _classify(
-    numbered_slice: tuple[int, Slice], levels: Levels
-) -> tuple[int, Counts, Labels, Counts]:
+def _classify(numbered_slice: NumberedSlice, levels: Levels) -> tuple[int, Counts, Labels, Counts]:
     """Number of a slice, and grey, material and depth of its voxels.
 
     The grey is above air, in whole numbers; the material is that of each voxel well inside one, and

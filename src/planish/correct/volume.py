@@ -13,11 +13,11 @@ from planish.core.labelled import computed
 from planish.core.lazy import Where
 from planish.core.typing import Array, Floats, Ints
 from planish.correct.cupping import factor, find_cupping, middle_factor
-from planish.correct.params import CorrectionRecord, CorrectParams, Cupping, Trend
+from planish.correct.params import CorrectionRecord, CorrectParams, Cupping, Trends
 from planish.correct.rings import RingFit, find_rings, remaining_rings
 from planish.correct.sums import (
     Levels,
-    Slice,
+    NumberedSlice,
     Sums,
     Turning,
     find_levels,
@@ -172,7 +172,7 @@ def correct_volume(
         return _corrected(volume, record, turning)
     record = record.model_copy(update={"air": levels.air, "sheet": levels.sheet})
 
-    def sums(slices: Iterator[tuple[int, Slice]], task_text: str) -> Sums:
+    def sums(slices: Iterator[NumberedSlice], task_text: str) -> Sums:
         if progress is not None:
             progress(task_text, f"{length} slices across {axis}")
         return take_sums(slices, turning, levels)
@@ -184,7 +184,7 @@ def correct_volume(
         return _corrected(volume, record, turning, before=before)
     clipped = [0, 0]
 
-    def changed() -> Iterator[tuple[int, Slice]]:
+    def changed() -> Iterator[NumberedSlice]:
         for number, values in slices():
             out, n = change.apply(values[None], np.array([number]), rows, cols)
             clipped[0] += n
@@ -202,7 +202,7 @@ def correct_volume(
     return _corrected(corrected, record, turning, before=before, after=after, change=change)
 
 
-def _trends_with(record: CorrectionRecord, trends_after: tuple[Trend, ...]) -> tuple[Trend, ...]:
+def _trends_with(record: CorrectionRecord, trends_after: Trends) -> Trends:
     """The trends of a record with the losses that are there after the correction."""
     losses = {trend.material: trend.before for trend in trends_after}
     return tuple(

@@ -24,7 +24,7 @@ from planish.core.typing import Entries, Floats, Texts, pair_of
 from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
 from planish.design.params import ImagingParams, StageParams
 from planish.design.pattern import P95, Pattern, Predicted, holes_csv, predict, size_text
-from planish.design.rules import Rule
+from planish.design.rules import Rules
 
 INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
 BURNT = "#e8c9b8"
@@ -232,7 +232,7 @@ def drawing_page(pattern: Pattern) -> Page:
 
 
 def error_page(
-    pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Sequence[Rule]
+    pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Rules
 ) -> Page:
     """Draw the predicted error over the field, with its numbers and the rules."""
     subtitle = (
@@ -401,7 +401,7 @@ def _size(size_um: Point) -> str:
 
 def write_design(
     pattern: Pattern,
-    rules: tuple[Rule, ...],
+    rules: Rules,
     folder: str | Path,
     *,
     stage: StageParams,

@@ -18,6 +18,7 @@ from planish.design.rules import (
     MARKER_DIAMETERS,
     SPACING_DIAMETERS,
     Rule,
+    Rules,
     area_rule,
     code_rules,
     matching_rules,
@@ -117,7 +118,7 @@ def _distances(marks: Steps) -> Steps:
 
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
 _ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom distinct
-Design = tuple[Pattern, tuple[Rule, ...]]
+Design = tuple[Pattern, Rules]
 
 
 def design_pattern(params: DesignParams) -> Design:
@@ -246,7 +247,7 @@ def _faults_text(broken: list[Rule]) -> str:
     return "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in broken)
 
 
-def _rules_of(pattern: Pattern) -> tuple[Rule, ...]:
+def _rules_of(pattern: Pattern) -> Rules:
     """Apply the rules, the quick ones first, until some are broken."""
     rules = simple_rules(pattern)
     for more_rules in (code_rules, matching_rules):
@@ -255,11 +256,11 @@ def _rules_of(pattern: Pattern) -> tuple[Rule, ...]:
     return rules
 
 
-def _broken(rules: tuple[Rule, ...]) -> list[Rule]:
+def _broken(rules: Rules) -> list[Rule]:
     return [rule for rule in rules if not rule.passed]
 
 
-def _rank(rules: tuple[Rule, ...]) -> Pair:
+def _rank(rules: Rules) -> Pair:
     """Share of holes met in the best rival, and minus the misfit of the code: least is best."""
     rival_share = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
     code_misfit = next(rule.value for rule in rules if rule.name == "code")

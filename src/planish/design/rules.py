@@ -223,7 +223,10 @@ class Rule:
         )
 
 
-def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
+Rules = tuple[Rule, ...]
+
+
+def check_pattern(pattern: Pattern) -> Rules:
     """Apply every rule to a pattern.
 
     Raises
@@ -239,7 +242,7 @@ def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
     return (*simple_rules(pattern), *code_rules(pattern), *matching_rules(pattern))
 
 
-def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
+def simple_rules(pattern: Pattern) -> Rules:
     """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
     points, diameter = pattern.points_um, pattern.diameter_um
     field = np.array(pattern.field_um)
@@ -274,12 +277,12 @@ def area_rule(pattern: Pattern, count: int) -> Rule:
     return _rule("area", 100 * burnt / float(pattern.view_um.prod()), 3.0)
 
 
-def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
+def code_rules(pattern: Pattern) -> Rules:
     """Apply the rule that any 4 consecutive holes identify their place."""
     return (_rule("code", code_misfit_um(pattern.points_um), TOLERANCE_UM),)
 
 
-def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
+def matching_rules(pattern: Pattern) -> Rules:
     """Apply the rules against taking the pattern for itself in another position."""
     points = pattern.points_um
     crop_masks = crops(pattern)

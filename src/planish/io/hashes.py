@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 # reads it.
 CHECKSUMS = "checksums.sha256"
 Where = tuple[slice, slice, slice]
+Checksums = dict[str, str]  # of shards, by their names
 
 
 def missing_shards(path: Path) -> list[str]:
@@ -79,7 +80,7 @@ class ShardLists:
             f"{level.basename}/{name}" for name in self.names(level, where)
         )
 
-    def add(self, level: Array, checksums: dict[str, str]) -> None:
+    def add(self, level: Array, checksums: Checksums) -> None:
         """List the shards of a block that was written: only after their bytes are on the disk."""
         list_file = self.folder / level.basename / CHECKSUMS
         with list_file.open("a", encoding="utf-8", newline="\n") as file:
@@ -98,9 +99,9 @@ class ShardLists:
             delete(half)
 
 
-def _read_checksums(folder: Path) -> dict[str, str]:
+def _read_checksums(folder: Path) -> Checksums:
     """Shards of all levels and their checksums; a last line that was cut off does not count."""
-    checksums: dict[str, str] = {}
+    checksums: Checksums = {}
     for path in sorted(folder.glob(f"*/{CHECKSUMS}")):
         for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
             if line.endswith("\n") and line[64:66] == "  ":

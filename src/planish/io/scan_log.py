@@ -71,6 +71,7 @@ DETAIL_KEYS = {  # Keys of a log that describe how the volume was made.
 }
 
 
+Settings = dict[str, str]  # by their keys
 NumberedFile = tuple[int, Path]
 
 
@@ -128,9 +129,9 @@ class Log:
         return "NRecon log" if self.stem.endswith("_rec") else self.name
 
     @property
-    def details(self) -> dict[str, str]:
+    def details(self) -> Settings:
         """Further keys, as written."""
-        details: dict[str, str] = {}
+        details: Settings = {}
         for section, names in DETAIL_KEYS.items():
             settings = self.sections.get(section, {})
             details |= {
@@ -272,7 +273,7 @@ def _stated_by(log: Log) -> Stated:
     return Stated(log.source, (size * log.step, size, size))
 
 
-def _log_sections(path: Path) -> dict[str, dict[str, str]]:
+def _log_sections(path: Path) -> dict[str, Settings]:
     """Sections and keys of a log, case-folded.
 
     The first of keys that occur twice in a section counts.
@@ -285,8 +286,8 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
     except UnicodeDecodeError:
         # Names of people and folders, never numbers.
         text = raw_bytes.decode("cp1252", errors="replace")
-    sections: dict[str, dict[str, str]] = {}
-    section: dict[str, str] = {}
+    sections: dict[str, Settings] = {}
+    section: Settings = {}
     for line in map(str.strip, text.splitlines()):
         key, equals, setting = line.partition("=")
         if line.startswith("[") and line.endswith("]"):

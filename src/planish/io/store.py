@@ -28,7 +28,7 @@ from planish.core.files import delete, move, writing
 from planish.core.memory import BLOCKS_AT_WORK, PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.core.typing import Entries, Shape
-from planish.io.hashes import ShardLists, Where
+from planish.io.hashes import Checksums, ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
 # Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to
@@ -158,7 +158,7 @@ def _write_finest_levels(
         return all(shard_lists.has(*part) for part in _parts(levels, where))
 
     pending_blocks = [where for where in blocks if not is_written(where)]
-    futures: set[Future[list[dict[str, str]]]] = set()
+    futures: set[Future[list[Checksums]]] = set()
 
     def finish(when: str) -> None:
         """Wait for blocks, and list what they wrote, whether another failed or not."""
@@ -222,13 +222,13 @@ def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
 
 def _write_block(
     volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]
-) -> list[dict[str, str]]:
+) -> list[Checksums]:
     """Write a block of the volume and its means.
 
     Return the checksums of the shards, level by level.
     """
     values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
-    checksums: list[dict[str, str]] = []
+    checksums: list[Checksums] = []
     for k, shard_names in enumerate(names):
         if k > 0:
             values = halve(values)
@@ -248,10 +248,10 @@ def _write_coarser_level(fine: Array, coarse: Array, shards: ShardLists) -> None
 
 def _write_shards(
     level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]
-) -> dict[str, str]:
+) -> Checksums:
     """Write a part of a level into a store, and give the checksums of its shards."""
     level[where] = values
-    checksums: dict[str, str] = {}
+    checksums: Checksums = {}
     for name in names:
         with (folder / level.basename / name).open("rb+") as file:
             os.fsync(file.fileno())
