@@ -200,7 +200,7 @@ class Lattice:
     def between(self, values: Floats, part: Grid) -> Floats:
         """Interpolate values (rows, cols) of the places bilinearly on some pixels of the grid."""
         by_rows = _between(values, self._y_um, part.y_um)
-        return _between(by_rows.T, self._x_um, part.x_um).T
+        return np.ascontiguousarray(_between(by_rows.T, self._x_um, part.x_um).T)
 
 
 def _thinned(axis_um: Floats) -> Floats:
