@@ -31,7 +31,7 @@ from planish.resample import SheetOnto, image_attrs, resample_image
 from planish.resample import resample_maps as flat_maps
 from planish.run.compute import Progress
 from planish.run.layers import Link, LinkedLayer, MappedLayer, Shown
-from planish.run.position_error import PositionErrors
+from planish.run.position_error import PositionErrors, add_place_errors
 from planish.run.regions import regions_on
 from planish.run.registration import Registration
 from planish.run.study import Study
@@ -100,9 +100,14 @@ def _on_tiles(
     on_part = moved_by(layer_data, chain)
 
     def moved(tile: Tile) -> xr.Dataset:
-        part = grid.part(tile.rows, tile.cols)
+        # With the pixels beside the tile, so that slopes do not depend on where tiles end.
+        grown = tile.grown(1, 1, grid.shape)
+        part = grid.part(grown.rows, grown.cols)
         maps = on_part(part)
-        return maps.assign(errors.on(part, _where_shown(maps).values))
+        maps = maps.assign(errors.on(part, _where_shown(maps).values))
+        maps = add_place_errors(maps, grid.pixel_um)
+        inner = tile.within(grown)
+        return maps.isel(y=inner.rows, x=inner.cols)
 
     return moved
 

@@ -21,7 +21,7 @@ import xarray as xr
 from planish.core.bands import rms_of
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, filled, pitch
-from planish.core.typing import Floats
+from planish.core.typing import Array, Floats, Pair
 from planish.flatten import flat_moves
 from planish.register import Chain
 from planish.resample import Lattice, covering_grid, find_places, resample
@@ -121,6 +121,38 @@ class PositionErrors:
             attrs = {"long_name": title, "units": "um"}
             maps[name] = xr.DataArray(um.astype(np.float32), part.coords, ("y", "x"), attrs=attrs)
         return maps
+
+
+def add_place_errors(maps: xr.Dataset, pixel_um: Pair) -> xr.Dataset:
+    """Add to the standard errors of maps what the error of their place makes of it.
+
+    A value that is read beside its place is wrong by the slope of its map times the distance along
+    the slope, which is ``expected_error`` over the square root of 2. Maps of angles have no slope.
+    """
+    names = [
+        str(name)
+        for name, values in maps.items()
+        if f"{name}_se" in maps and "period_deg" not in values.attrs
+    ]
+    errors: dict[str, xr.DataArray] = {}
+    for name in names:
+        values = maps[name].values
+        slope_y = _slope(values) / pixel_um[0]
+        slope_x = _slope(values.T).T / pixel_um[1]
+        square = 0.5 * maps["expected_error"].values ** 2 * (slope_y**2 + slope_x**2)
+        se = maps[f"{name}_se"]
+        errors[f"{name}_se"] = se.copy(data=np.sqrt(se.values**2 + np.nan_to_num(square)))
+    return maps.assign(errors)
+
+
+def _slope(values: Array) -> Array:
+    """Change from row to row: the mean of those before and after, or the one that is known."""
+    unknown = np.full((1, values.shape[1]), np.nan, values.dtype)
+    steps = np.diff(values, axis=0, prepend=unknown, append=unknown)
+    before = steps[:-1]
+    after = steps[1:]
+    one_side = np.where(np.isnan(before), after, before)
+    return np.where(np.isnan(before + after), one_side, 0.5 * (before + after))
 
 
 def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares | None:
