@@ -266,7 +266,7 @@ def restarted(session):
         journal=journal,
         reason="",
     )
-    again._replay()
+    again._replay(None)
     return again
 
 

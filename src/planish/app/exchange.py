@@ -56,10 +56,11 @@ def imported(
     for a faulty one.
     """
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
-        uploads = {"marks": file} | ({"second": fixed_file} if fixed_file else {})
-        paths = [Path(folder) / f"{name}{upload.suffix}" for name, upload in uploads.items()]
-        for path, upload in zip(paths, uploads.values(), strict=True):
-            path.write_bytes(upload.content())
+        paths: list[Path] = []
+        for stem, upload in (("marks", file), ("second", fixed_file)):
+            if upload is not None:
+                paths.append(Path(folder) / f"{stem}{upload.suffix}")
+                paths[-1].write_bytes(upload.content())
         pixels = {plane: _pixels(session, layer, plane) for plane in PLANES}
         marks = read_any(*paths, **pixels, volume=LayerPixels())
     moving, fixed = pair_of_layers(marks, name=file.name)

@@ -93,14 +93,16 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
         return np.arange(len(z))
     predicted = w[i][:, None] + factor[:, None] * (z - z[i][:, None])
     residual2 = np.abs(w - predicted) ** 2
-    sums = np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1)
+    smallest = np.partition(residual2, count - 1, axis=1)[:, :count]
+    sums = np.sum(smallest, axis=1)
     least_sum = np.inf
     best_inliers = np.arange(count)
     for k in np.argsort(sums, kind="stable")[:10]:
         inliers = np.argsort(residual2[k], kind="stable")[:count]
         for _ in range(5):
             inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
-        sum_of_squares = float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2))
+        of_inliers = _residuals(z, w, inliers)[inliers]
+        sum_of_squares = float(np.sum(np.abs(of_inliers) ** 2))
         if sum_of_squares < least_sum:
             least_sum = sum_of_squares
             best_inliers = np.sort(inliers)

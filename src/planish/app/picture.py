@@ -172,7 +172,7 @@ class PlanePicture:
 
 
 def _finite_values(arrays: Sequence[Array]) -> Floats:
-    values = np.concatenate([np.empty(0), *(array.ravel() for array in arrays)]).astype(np.float64)
+    values = np.concatenate([np.empty(0), *map(np.ravel, arrays)]).astype(np.float64)
     return values[np.isfinite(values)]
 
 

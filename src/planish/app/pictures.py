@@ -106,8 +106,8 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
     if not results.is_link:
         name = results.layers[0].name
         yield from _sheet(run, layer=name, prefix="")
-        yield from group_pictures(run, EXPLAINED, plane="moving", layer=name)
-        yield from group_pictures(run, OCTAVES, plane="moving", layer=name)
+        for group in (EXPLAINED, OCTAVES):
+            yield from group_pictures(run, group, plane="moving", layer=name)
         return
     images = {params.name: params.image for params in study.layers}
     for layer in results.moving:

@@ -40,13 +40,12 @@ from planish.io.map_groups import read_group
 from planish.io.params import ImageParams
 from planish.marks.exchange import MarkPlaces, holes_of, make_marks, model
 from planish.marks.exchange.model import EXTRAS
-from planish.marks.regions import read_regions
+from planish.marks.regions import Regions
 from planish.results import Results
 from planish.run import Registration, find_holes
 from planish.run.cached_maps import noted_study
 from planish.run.overlay import measured_holes
-from planish.run.regions import REGIONS
-from planish.run.run import MAPS, marks_file, open_results, study_of
+from planish.run.run import MAPS, open_run
 from planish.run.study import EDITS, Study, with_paths
 
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
@@ -85,19 +84,15 @@ class Session:
         SizeError
             If the pixel size of the image is not known.
         """
-        results = open_results(run)
-        study = study_of(run, results)
-        params = _image_params(run, image, results)
+        opened = open_run(run)
+        params = _image_params(run, image, opened.results)
         subject = fingerprint(run / "results.json")
         journal_name = "journal.jsonl"
         if params is not None:
             key = image_key(params)
             subject += f" {key}"
             journal_name = f"journal-{sha256(key.encode()).hexdigest()[:12]}.jsonl"
-        registrations = {
-            layer.name: Registration.read(run / marks_file(results, layer.name))
-            for layer in results.moving
-        }
+        registrations = dict(opened.registrations)
         journal_path = run / EDITS / journal_name
         reason = "It was opened with --read-only." if read_only else ""
         try:
@@ -109,15 +104,15 @@ class Session:
             reason = f"The run cannot be written, so nothing can be changed. {error.text}"
         session = cls(
             folder=run,
-            study=study,
-            results=results,
+            study=opened.study,
+            results=opened.results,
             registrations=registrations,
             image_params=params,
             journal=journal,
             reason=reason,
         )
         try:
-            session._replay()
+            session._replay(opened.regions)
         except BaseException:
             session.close()
             raise
@@ -303,8 +298,8 @@ class Session:
         self.publish()
         self.changed_at = self.version
 
-    def _replay(self) -> None:
-        regions = _drawn_regions(self.folder / REGIONS) if self.results.regions else ()
+    def _replay(self, regions: Regions | None) -> None:
+        """Begin with the run as it was, and make all changes of the journal again."""
         marks = {
             layer: pairs_of(registration.marks)
             for layer, registration in self.registrations.items()
@@ -313,7 +308,7 @@ class Session:
         original = State(
             marks=marks or {first_layer: ()},
             model=self.study.registration.model,
-            regions=regions,
+            regions=() if regions is None else _drawn_regions(regions),
             corrections=corrections_of(self.study),
             first_layer=first_layer,
         )
@@ -439,10 +434,10 @@ def _places_of(ends: Sequence[End | None]) -> MarkPlaces:
     )
 
 
-def _drawn_regions(path: Path) -> tuple[DrawnRegion, ...]:
-    """The regions that a file declares: each polygon for itself, numbered."""
+def _drawn_regions(declared: Regions) -> tuple[DrawnRegion, ...]:
+    """The regions that a run declares: each polygon for itself, numbered."""
     regions: list[DrawnRegion] = []
-    for region in read_regions(path).declared:
+    for region in declared.declared:
         for rings in region.polygons:
             polygon, *holes = map(_ring, rings)
             regions.append(

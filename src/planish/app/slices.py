@@ -122,7 +122,8 @@ class SlicedSheet:
     @property
     def step(self) -> int:
         """Voxels along the edge of a column of the surfaces."""
-        return max(1, self.volume.sizes[self.frame.rows] // max(self.surfaces.sizes["y"], 1))
+        n_voxels = self.volume.sizes[self.frame.rows]
+        return max(1, n_voxels // max(self.surfaces.sizes["y"], 1))
 
     def voxels_um(self, axis: str) -> Floats:
         """Places of the voxels along an axis, um."""
@@ -227,9 +228,7 @@ class SlicedSheet:
     def _along(self, index: int, near_um: Near) -> SheetSlice:
         frame = self.frame
         axes = frame.cols, frame.rows
-        cols, rows = (
-            _window(self.voxels_um(axis), um) for axis, um in zip(axes, near_um, strict=True)
-        )
+        cols, rows = map(_window, map(self.voxels_um, axes), near_um)
         box = {frame.rows: rows, frame.cols: cols, frame.through: slice(index, index + 1)}
         values = read_box(self.volume, box)[..., 0]
         height_um = float(self.voxels_um(frame.through)[index])
@@ -323,10 +322,8 @@ class SlicedSheet:
         return edge_of(axis, self.voxels_um(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
-        return slice(
-            voxels.start // self.step,
-            min(-(-voxels.stop // self.step), self._columns_um(axis).size),
-        )
+        end = -(-voxels.stop // self.step)
+        return slice(voxels.start // self.step, min(end, self._columns_um(axis).size))
 
     def _surfaces_in(
         self, rows: slice, cols: slice, names: Sequence[str] | None = None

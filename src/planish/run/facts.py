@@ -319,7 +319,8 @@ def _property_rows(
     """Give a row for each figure of each property; ``why`` names the checks that concern one."""
     for name, p in sheet.properties.items():
         trust_cells = (p.n, p.trust, why(name))
-        figures = [("mean", p.mean, p.mean_standard_error, p.units), ("sd", p.sd, None, p.units)]
+        figures = [("mean", p.mean, p.mean_standard_error, p.units)]
+        figures.append(("sd", p.sd, None, p.units))
         if p.coefficient_of_variation is not None:
             figures.append(("coefficient of variation", p.coefficient_of_variation, None, "1"))
         if name in sheet.uncovered_areas and p.trust != "withheld":

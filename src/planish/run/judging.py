@@ -62,11 +62,13 @@ def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: Ho
     layers = [linked.layer for linked in overlay.layers]
     study = with_packages(changed(study, layers=tuple(layer.params for layer in layers)))
     regions = overlay.mask.regions
+    is_by_this_code = all(layer.by_this_code for layer in layers)
+    checks = _checks_of_link(overlay, comparison, holes)
     results = _results(
         study,
         comparison.layers,
-        _checks_of_link(overlay, comparison, holes),
-        by_this_code=all(layer.by_this_code for layer in layers),
+        checks,
+        by_this_code=is_by_this_code,
         chain=study.chain,
         correlations=comparison.correlations,
         evidence=comparison.evidence,
@@ -76,17 +78,13 @@ def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: Ho
         refinement=comparison.refinement,
         regions=None if regions is None else region_facts(regions, overlay.grid),
     )
-    registrations = {
-        linked.name: linked.link.registration
-        for linked in overlay.layers
-        if linked.link is not None
-    }
+    links = {linked.name: linked.link for linked in overlay.layers if linked.link is not None}
     run = Run(
         study=study,
         results=results,
         groups=_groups_of_link(study, overlay, comparison),
         regions=regions,
-        registrations=registrations,
+        registrations={name: link.registration for name, link in links.items()},
     )
     if study.is_sheet_on_image:
         return replace(run, unchanged=layers[0].unchanged)

@@ -43,7 +43,8 @@ def maps_of(run: Run) -> dict[str, NamedMap]:
             maps[f"{layer}.{name}"] = NamedMap(values=values, layer=layer, group=group)
     if maps:
         counts = Counter(map(bare_name, maps))
-        return {bare_name(key): m for key, m in maps.items() if counts[bare_name(key)] == 1} | maps
+        single = [key for key in maps if counts[bare_name(key)] == 1]
+        return {bare_name(key): maps[key] for key in single} | maps
     layers = run.results.layers
     group = run.groups[LINKED if LINKED in run.groups else "maps"]
     for name, values in group.items():
@@ -76,8 +77,8 @@ def named(maps: Mapping[str, NamedMap], name: str) -> NamedMap:
 def trust_of_maps(run: Run, maps: Iterable[NamedMap], *figures: str) -> Trust:
     """What the checks of a run leave of an answer about some of its maps, and of other figures."""
     maps = list(maps)
-    layers = {m.layer for m in maps}
-    return trust_of(run.results.checks, layers, [*(str(m.values.name) for m in maps), *figures])
+    names = [str(m.values.name) for m in maps]
+    return trust_of(run.results.checks, {m.layer for m in maps}, [*names, *figures])
 
 
 def is_declared(declared: ExplainParams | ScalesParams, params: Params) -> bool | None:

@@ -202,11 +202,9 @@ def take_light_off(study: Study, overlay: Overlay) -> Overlay:
             f" {max(row_um, col_um):g} um, over which no field is fitted. Give larger ones with"
             " `point_um`, or leave it out."
         )
-    points = common_means(
-        (sheet.maps[name], reference.maps["image"]),
-        (point_um / row_um, point_um / col_um),
-        masks=(sheet.maps["valid"], reference.maps["valid"]),
-    )
+    maps = (sheet.maps[name], reference.maps["image"])
+    masks = (sheet.maps["valid"], reference.maps["valid"])
+    points = common_means(maps, (point_um / row_um, point_um / col_um), masks=masks)
     light = fit_light(points[0], points[1], grid, point_um)
     group = LINKED if study.is_sheet_on_image else f"layers/{reference.name}"
     for tile in map_tiles(grid.shape):
@@ -311,13 +309,13 @@ def hole_circles(
     """
     holes = holes_of(measured_holes(marks, side), side)
     hole_sets = [holes] if image is None else [holes, cut_holes(image, holes)]
-    circles = np.concatenate(
-        [np.column_stack([centres_of(h), 0.5 * h["diameter"].values]) for h in hole_sets]
-    )
+    centres_um = np.concatenate([centres_of(h) for h in hole_sets])
+    radii_um = 0.5 * np.concatenate([h["diameter"].values for h in hole_sets])
     if chain is not None:
-        circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
-        circles = circles[np.isfinite(circles).all(axis=1)]
-    return circles + np.array([0.0, 0.0, rim_um])
+        centres_um = chain(centres_um)
+        radii_um = radii_um * chain.similarity.scale
+    circles = np.column_stack([centres_um, radii_um + rim_um])
+    return circles[np.isfinite(circles).all(axis=1)]
 
 
 def resample_maps(

@@ -95,7 +95,7 @@ class PositionErrors:
             self._shares["sections"] = np.full(places.shape[:2], np.sqrt(sections_um2))
         if is_scan:
             self._shares["lines"] = np.full(places.shape[:2], _LINES_UM)
-        self._whole = set(self._shares) == {"marks"} and sheet is None
+        self._whole = self._shares.keys() == {"marks"} and sheet is None
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
         """Give the rms errors of the place of some pixels of the reference (y, x), in um.

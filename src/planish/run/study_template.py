@@ -97,7 +97,8 @@ def draft_study(
             lines += _option(key, field, shown, section)
     n_head_lines = len(_head(name, missing))
     missing = [unset._replace(line=unset.line + n_head_lines) for unset in missing]
-    return Draft(text="\n".join([*_head(name, missing), *lines]) + "\n", missing=tuple(missing))
+    text = "\n".join([*_head(name, missing), *lines, ""])
+    return Draft(text=text, missing=tuple(missing))
 
 
 def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
@@ -106,11 +107,8 @@ def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
     A key behind a table would belong to it.
     """
     flags = {name: shown for name, _, shown in options_of(model)}
-    options = [
-        (k, field, flags.get(k, Shown(flags=())))
-        for k, field in model.model_fields.items()
-        if k != "path"
-    ]
+    fields = {name: field for name, field in model.model_fields.items() if name != "path"}
+    options = [(k, field, flags.get(k, Shown(flags=()))) for k, field in fields.items()]
     return sorted(options, key=lambda option: bool(models_in(option[1].annotation)))
 
 

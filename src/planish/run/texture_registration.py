@@ -190,8 +190,9 @@ def _fitted(
         moving, fixed = fixed, moving
     tile_rows = np.repeat(np.arange(count)[:, None], 2, axis=1)
     rows = np.concatenate([tile_rows, pairs + count])
-    used = (moving.isel(mark=rows[:, 0]), fixed.isel(mark=rows[:, 1]))
-    fit = fit_pairs(*used, params=params, mirrored=tiles.place.mirrored)
+    moving_marks = moving.isel(mark=rows[:, 0])
+    fixed_marks = fixed.isel(mark=rows[:, 1])
+    fit = fit_pairs(moving_marks, fixed_marks, params=params, mirrored=tiles.place.mirrored)
     labels = [f"tile {k + 1}" for k in range(count)]
     labels += [f"{k + 1}" for k in range(len(pairs))]
     marks = join_holes(moving, fixed, rows, labels)

@@ -211,11 +211,8 @@ def _read_greys(
 def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> Iterator[slice]:
     """Parts of the volume along z, so each plane of a file, or chunk of a store, is read once."""
     chunk_planes = chunks_of(volume)[0]
-    sizes = {
-        frame.rows: rows.size,
-        frame.cols: volume.sizes[frame.cols],
-        frame.through: planes.stop - planes.start,
-    }
+    n_planes = planes.stop - planes.start
+    sizes = {frame.rows: rows.size, frame.cols: volume.sizes[frame.cols], frame.through: n_planes}
     plane_voxels = math.prod(size for axis, size in sizes.items() if axis != "z")
     block_planes = max(SLICES_VOXELS // max(plane_voxels, 1) // chunk_planes, 1) * chunk_planes
     first, last = planes.start, planes.stop
@@ -228,7 +225,8 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> It
 def _greys(values: Array, scale: Scale) -> NDArray[np.uint8]:
     """Grey values in 8 bits; what is missing is black."""
     fraction = (np.asarray(values, dtype=np.float32) - scale.low) / (scale.high - scale.low)
-    return np.rint(255 * np.clip(np.nan_to_num(fraction, nan=0.0), 0, 1)).astype(np.uint8)
+    shown = np.clip(np.nan_to_num(fraction, nan=0.0), 0, 1)
+    return np.rint(255 * shown).astype(np.uint8)
 
 
 def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
@@ -236,8 +234,8 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     x_um, heights_um = slices[0].x, slices[0].heights
     dx_um = _pitch(x_um)
     dz_um = abs(_pitch(heights_um))
-    thickness_um = np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in slices])
-    margin_um = _margin_um(thickness_um)
+    thickness_um = np.stack([cut.lines["top"] - cut.lines["bottom"] for cut in slices])
+    margin_um = _margin_um(np.abs(thickness_um))
     windows = [cut.window(float(x_um[0]), float(x_um[-1]), margin_um) for cut in slices]
     lows_um = np.array([low_um for *_, low_um, _ in windows])
     highs_um = np.array([high_um for *_, high_um in windows])
