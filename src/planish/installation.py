@@ -68,11 +68,9 @@ def describe_installation() -> dict[str, str]:
 
 def report_text() -> str:
     """What is handed on with a report: versions, settings, checks, the last fault; no folders."""
-    settings = [
-        f"{name}={value}"
-        for name, value in sorted(os.environ.items())
-        if name.startswith(("PLANISH_", "NUMBA_", "OMP_", "OPENBLAS_", "LANG", "LC_", "TMP"))
-    ]
+    prefixes = ("PLANISH_", "NUMBA_", "OMP_", "OPENBLAS_", "LANG", "LC_", "TMP")
+    names = [name for name in sorted(os.environ) if name.startswith(prefixes)]
+    settings = [f"{name}={os.environ[name]}" for name in names]
     checks = [
         f"{check.state} {check.name}: {check.sentence} {check.advice}".rstrip()
         for check in check_installation()
@@ -161,10 +159,8 @@ def _command() -> Check:
             "command", "planish is not on the search path.", state="unknown", advice=advice
         )
     # Tools that give a program an environment of its own put a link to it on the path.
-    if Path(sys.executable).absolute().parent in (
-        Path(program).absolute().parent,
-        Path(program).resolve().parent,
-    ):
+    programs = (Path(program).absolute(), Path(program).resolve())
+    if Path(sys.executable).absolute().parent in [path.parent for path in programs]:
         return _check("command", "planish in a terminal is this installation.")
     advice = "Compare 'planish --version' with the first line."
     return _check(
@@ -182,16 +178,18 @@ def _libraries() -> Check:
         return _check(
             "libraries", "planish runs from a folder and is not installed.", state="unknown"
         )
-    versions = [
-        (requirement.name, *_version_and_fault(requirement)) for requirement in requirements
-    ]
-    if faults := [fault for _, _, fault in versions if fault]:
+    versions: list[str] = []
+    faults: list[str] = []
+    for requirement in requirements:
+        version, fault = _version_and_fault(requirement)
+        versions.append(f"{requirement.name} {version}")
+        if fault:
+            faults.append(fault)
+    if faults:
         how = "pip install --upgrade, and the path of its wheel or folder."
         advice = f"Install planish again, best into an environment of its own: {how}"
         return _check("libraries", f"{'; '.join(faults)}.", state="fail", advice=advice)
-    return _check(
-        "libraries", f"{', '.join(f'{library} {version}' for library, version, _ in versions)}."
-    )
+    return _check("libraries", f"{', '.join(versions)}.")
 
 
 def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
@@ -213,13 +211,13 @@ def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
 
 def _modules_of(library: str) -> list[str]:
     """Names by which a library is imported, which need not be its own."""
-    files = [str(file) for file in metadata.files(library) or ()]
-    packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
-    module_files = [file for file in files if "/" not in file and file.endswith(".py")]
-    modules = dict.fromkeys([*packages, *(file.removesuffix(".py") for file in module_files)])
+    files = metadata.files(library) or []
+    packages = [file.parts[0] for file in files if file.name == "__init__.py"]
+    modules = [file.stem for file in files if len(file.parts) == 1 and file.suffix == ".py"]
+    names = dict.fromkeys([*packages, *modules])
     plain = _plain(library)
-    matching = [name for name in modules if _plain(name) in plain or plain in _plain(name)]
-    return matching or [name for name in modules if name.isidentifier() and name[0] != "_"][:1]
+    matching = [name for name in names if _plain(name) in plain or plain in _plain(name)]
+    return matching or [name for name in names if name.isidentifier() and name[0] != "_"][:1]
 
 
 def _plain(name: str) -> str:
@@ -238,10 +236,9 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
     requirements: list[Requirement] = []
     for requirement in map(Requirement, texts):
         marker = requirement.marker
-        is_extra = marker is not None and "extra" in str(marker)
-        if is_extra == (extra is not None) and (
-            marker is None or marker.evaluate({"extra": extra or ""})
-        ):
+        is_of_extra = "extra" in str(marker)
+        applies = marker is None or marker.evaluate({"extra": extra or ""})
+        if applies and is_of_extra == (extra is not None):
             requirements.append(requirement)
     return requirements
 
@@ -327,11 +324,9 @@ def _disk(name: str, folder: Path, other_folder_advice: str) -> Check:
 
 
 def _console() -> Check:
-    terminal = (
-        f"a terminal of {shutil.get_terminal_size().columns} columns"
-        if sys.stdout.isatty()
-        else "no terminal"
-    )
+    terminal = "no terminal"
+    if sys.stdout.isatty():
+        terminal = f"a terminal of {shutil.get_terminal_size().columns} columns"
     streams = f"output {sys.stdout.encoding}, messages {sys.stderr.encoding}"
     files = f"names of files {sys.getfilesystemencoding()}"
     texts = f"texts of other programs {locale.getpreferredencoding(do_setlocale=False)}"
@@ -369,21 +364,18 @@ def _extra(extra: str, purpose: str) -> Check:
     requirements = _requirements(extra)
     if requirements is None:
         return _check(name, f"{purpose}.", state="unknown")
-    faults = [(requirement.name, *_version_and_fault(requirement)) for requirement in requirements]
-    wrong_versions = {
-        library: fault for library, version, fault in faults if fault and version != "missing"
-    }
-    if wrong_versions:
-        packages = " ".join(
-            f'"{r.name}{r.specifier}"' for r in requirements if r.name in wrong_versions
-        )
-        return _check(
-            name,
-            f"{'; '.join(wrong_versions.values())}.",
-            advice=f"Run: pip install --upgrade {packages}",
-        )
-    if any(version == "missing" for _, version, _ in faults):
+    versions: list[str] = []
+    wrong_packages: list[str] = []
+    faults: list[str] = []
+    for requirement in requirements:
+        version, fault = _version_and_fault(requirement)
+        versions.append(f"{requirement.name} {version}")
+        if fault and version != "missing":
+            faults.append(fault)
+            wrong_packages.append(f'"{requirement.name}{requirement.specifier}"')
+    if faults:
+        advice = f"Run: pip install --upgrade {' '.join(wrong_packages)}"
+        return _check(name, f"{'; '.join(faults)}.", advice=advice)
+    if any(version.endswith(" missing") for version in versions):
         return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {purpose}.')
-    return _check(
-        name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {purpose}."
-    )
+    return _check(name, f"installed ({', '.join(versions)}): {purpose}.")

@@ -59,7 +59,8 @@ class End(Part):
 
 
 def _as_end(end: Any) -> Any:
-    return {"x": end[0], "y": end[1]} if isinstance(end, list | tuple) and len(end) == 2 else end  # pyright: ignore
+    is_place = isinstance(end, list | tuple) and len(end) == 2  # pyright: ignore
+    return dict(zip("xy", end, strict=True)) if is_place else end
 
 
 OneEnd = Annotated[End, BeforeValidator(_as_end)]

@@ -92,11 +92,8 @@ class Pictures:
     def valid_of(self, *pictures: PlanePicture) -> list[PlanePicture]:
         """The masks that say where values of pictures count."""
         layers = {p.layer for p in pictures}
-        return [
-            p
-            for p in self.on_same_pixels(pictures[0])
-            if p.layer in layers and p.variable == "valid"
-        ]
+        masks = [p for p in self.on_same_pixels(pictures[0]) if p.variable == "valid"]
+        return [p for p in masks if p.layer in layers]
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:

@@ -427,11 +427,9 @@ def _places_of(ends: Sequence[End | None]) -> MarkPlaces:
     columns: dict[str, Floats] = {}
     for name in ("x", "y", *EXTRAS):
         columns[name] = np.array([getattr(end, name, None) for end in ends], dtype=np.float64)
-    return MarkPlaces(
-        um=np.stack([columns.pop("x"), columns.pop("y")], axis=1),
-        source=[getattr(end, "source", "imported") for end in ends],
-        extras=columns,
-    )
+    um = np.stack([columns.pop("x"), columns.pop("y")], axis=1)
+    sources = [getattr(end, "source", "imported") for end in ends]
+    return MarkPlaces(um=um, source=sources, extras=columns)
 
 
 def _drawn_regions(declared: Regions) -> tuple[DrawnRegion, ...]:

@@ -76,7 +76,7 @@ def _on_pixels(
         is_inside = (position > -0.5) & (position < centres_um.size - 0.5)  # False where it is NaN
         indices.append(np.where(is_inside, np.rint(position), 0).astype(np.intp))
         is_on_mesh = is_on_mesh & is_inside
-    return np.where(is_on_mesh, cells.values[indices[0], indices[1]], np.float32(np.nan))
+    return np.where(is_on_mesh, cells.values[tuple(indices)], np.float32(np.nan))
 
 
 def strains(

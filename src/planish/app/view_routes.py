@@ -70,7 +70,7 @@ def get_pixel(request: Request) -> Response:
 
 def get_profile(request: Request) -> Response:
     """Values along a line."""
-    x0, y0, x1, y1 = _required_numbers(request, "line", 4)
+    x0, y0, x1, y1 = _numbers(request, "line", 4, needed=True)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
     return Answer(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
@@ -149,30 +149,26 @@ def required_point(request: Request) -> Pair:
 
 
 def _number(request: Request, key: str) -> float:
-    return _required_numbers(request, key, 1)[0]
+    return _numbers(request, key, 1, needed=True)[0]
 
 
-def _required_numbers(request: Request, key: str, count: int) -> list[float]:
-    """Finite numbers of a query, apart by commas; InputError where they are missing."""
-    numbers = _numbers(request, key, count)
-    if not numbers:
-        raise InputError(f"{key} is missing: {count} number{'s' * (count > 1)} needed.")
-    return numbers
+def _numbers(request: Request, key: str, count: int, *, needed: bool = False) -> list[float]:
+    """Finite numbers of a query, apart by commas.
 
-
-def _numbers(request: Request, key: str, count: int) -> list[float]:
-    """Finite numbers of a query, apart by commas; none where it is not given."""
+    Where it is not given, none, or InputError where they are ``needed``.
+    """
     text = request.query_params.get(key)
+    needed_text = f"{count} number{'s' * (count > 1)} needed"
     if text is None:
+        if needed:
+            raise InputError(f"{key} is missing: {needed_text}.")
         return []
     try:
         numbers = [float(word) for word in text[:200].split(",")]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise InputError(
-            f"{key} is {text[:40]!r}: {count} number{'s' * (count > 1)} needed, apart by commas."
-        )
+        raise InputError(f"{key} is {text[:40]!r}: {needed_text}, apart by commas.")
     return numbers
 
 

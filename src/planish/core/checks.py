@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
-from planish.core.facts import Number, ResultModel, Trust, optional
+from planish.core.facts import DescribedModel, Number, Trust
 from planish.core.text import plain_numbers
 
 State = Literal["pass", "look", "fail", "unknown"]
@@ -25,26 +25,29 @@ CORRELATION = "correlation"
 linked layers."""
 
 
-class Check(ResultModel):
+class Check(DescribedModel):
     """Result of one check. A stage that knows one layer only leaves ``layers`` empty."""
 
-    name: str = Field(description="Short and unique in a run, as 'slices along z'.")
-    state: State = Field(description="pass, look, fail or unknown.")
-    sentence: Annotated[str, AfterValidator(plain_numbers)] = Field(
-        description="What was found; with unknown, why nothing can be said."
-    )
-    value: Number = optional("What was compared.")
-    limit: Number = optional("The limit that the state was judged by.")
-    units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")
-    advice: str = Field(default="", description="What to do; empty where nothing has to be done.")
-    remedy: str = Field(
-        default="", description="What to set in the next run; names parameters, as `voxel_um`."
-    )
-    figures: tuple[str, ...] = Field(
-        default=(),
-        description="What it concerns: names of maps, or properties, position, correlation.",
-    )
-    layers: tuple[str, ...] = Field(default=(), description="Layers that it is about.")
+    name: str
+    """Short and unique in a run, as 'slices along z'."""
+    state: State
+    """pass, look, fail or unknown."""
+    sentence: Annotated[str, AfterValidator(plain_numbers)]
+    """What was found; with unknown, why nothing can be said."""
+    value: Number = None
+    """What was compared."""
+    limit: Number = None
+    """The limit that the state was judged by."""
+    units: str = ""
+    """Of value and limit; 'share' for a part of 1."""
+    advice: str = ""
+    """What to do; empty where nothing has to be done."""
+    remedy: str = ""
+    """What to set in the next run; names parameters, as `voxel_um`."""
+    figures: tuple[str, ...] = ()
+    """What it concerns: names of maps, or properties, position, correlation."""
+    layers: tuple[str, ...] = ()
+    """Layers that it is about."""
 
     @property
     def text(self) -> str:

@@ -123,40 +123,44 @@ class DescribedModel(ResultModel):
     model_config = ConfigDict(use_attribute_docstrings=True)
 
 
-class InputFile(ResultModel):
+class InputFile(DescribedModel):
     """A file that was read, and the hash that tells it from every other."""
 
-    name: str = Field(description="Name of the file or folder.")
-    shape: Shape = Field(description="Values along each axis: (z, y, x) or (y, x).")
-    dtype: str = Field(description="Type of the values as stored.")
-    bytes: int = Field(description="Size of the file or of all files.")
-    sha256: str = Field(description="Hash of the bytes, which tells this input from every other.")
-    size_um: tuple[float, ...] = Field(description="Voxel size (z, y, x) or pixel size (y, x).")
-    size_source: str = Field(
-        description="Where the size was taken from, such as a log or an option."
-    )
-    size_doubt: str = Field(
-        default="", description="A sentence where the size may be nobody's measurement."
-    )
+    name: str
+    """Name of the file or folder."""
+    shape: Shape
+    """Values along each axis: (z, y, x) or (y, x)."""
+    dtype: str
+    """Type of the values as stored."""
+    bytes: int
+    """Size of the file or of all files."""
+    sha256: str
+    """Hash of the bytes, which tells this input from every other."""
+    size_um: tuple[float, ...]
+    """Voxel size (z, y, x) or pixel size (y, x)."""
+    size_source: str
+    """Where the size was taken from, such as a log or an option."""
+    size_doubt: str = ""
+    """A sentence where the size may be nobody's measurement."""
 
 
-class ThinFacts(ResultModel):
+class ThinFacts(DescribedModel):
     """Shares of a coating that are thinner than some limits."""
 
-    thinner_than_um: tuple[float, ...] = Field(description="Limits of the thickness.")
+    thinner_than_um: tuple[float, ...]
+    """Limits of the thickness."""
     share: tuple[Number, ...] = Field(
         description=(
             "Share of the area that is thinner, for each limit; at 0 the uncovered area ratio: the"
             " share of the area without any coating."
         )
     )
-    standard_error: tuple[Number, ...] = Field(
-        default=(), description="Standard error of each share, of the sheet by this field."
-    )
-    support_um: float = Field(
-        description="Size of the region that one value of the thickness stands for."
-    )
-    warning: str | None = Field(description="Set where the noise alone makes columns thin.")
+    standard_error: tuple[Number, ...] = ()
+    """Standard error of each share, of the sheet by this field."""
+    support_um: float
+    """Size of the region that one value of the thickness stands for."""
+    warning: str | None
+    """Set where the noise alone makes columns thin."""
 
     @property
     def uncovered_area_ratio(self) -> tuple[float | None, float | None]:
@@ -166,100 +170,115 @@ class ThinFacts(ResultModel):
         return share_by_um.get(0.0), error_by_um.get(0.0) or None
 
 
-class RoughnessFacts(ResultModel):
+class RoughnessFacts(DescribedModel):
     """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
 
-    sa: Number = optional("Mean absolute height, um.")
-    sq: Number = optional("Root mean square height, um.")
-    ssk: Number = optional("Skewness of the heights.")
-    sku: Number = optional("Kurtosis of the heights.")
-    sz: Number = optional("Highest less lowest height, um; grows with the field.")
-    sdq: Number = optional("Root mean square slope.")
-    n: int | None = optional("Columns with a height.")
-    s_filter_um: Number = optional("Shorter waves were left out.")
-    l_filter_um: Number = optional("Longer waves were left out.")
-    reason: str | None = optional("Why there are no numbers; None where there are.")
+    sa: Number = None
+    """Mean absolute height, um."""
+    sq: Number = None
+    """Root mean square height, um."""
+    ssk: Number = None
+    """Skewness of the heights."""
+    sku: Number = None
+    """Kurtosis of the heights."""
+    sz: Number = None
+    """Highest less lowest height, um; grows with the field."""
+    sdq: Number = None
+    """Root mean square slope."""
+    n: int | None = None
+    """Columns with a height."""
+    s_filter_um: Number = None
+    """Shorter waves were left out."""
+    l_filter_um: Number = None
+    """Longer waves were left out."""
+    reason: str | None = None
+    """Why there are no numbers; None where there are."""
 
 
-class TwoSidesFacts(ResultModel):
+class TwoSidesFacts(DescribedModel):
     """Top against bottom."""
 
-    coating_difference_um: Number = optional("Mean coating of the top less that of the bottom.")
-    coating_sd_ratio: Number = optional(
-        "Standard deviation of the top's coating over that of the bottom's."
-    )
-    coating_correlation: Number = optional("r of both coatings.")
-    coating_n: int | None = optional("Columns with both coatings.")
-    half_thickness_difference_um: Number = optional(
-        "Mean height above the centre surface, top less bottom."
-    )
-    half_thickness_sd_ratio: Number = optional("Standard deviation of the top's over the bottom's.")
-    half_thickness_correlation: Number = optional("r of both, outward heights.")
-    half_thickness_n: int | None = optional("Columns with both.")
-    topography_difference_um: Number = optional(
-        "Mean topography of the top less that of the bottom: each is about its own form."
-    )
-    topography_sd_ratio: Number = optional(
-        "Standard deviation of the top's topography over that of the bottom's."
-    )
-    topography_correlation: Number = optional("r of both topographies, outward heights.")
-    topography_n: int | None = optional("Columns with both topographies.")
+    coating_difference_um: Number = None
+    """Mean coating of the top less that of the bottom."""
+    coating_sd_ratio: Number = None
+    """Standard deviation of the top's coating over that of the bottom's."""
+    coating_correlation: Number = None
+    """r of both coatings."""
+    coating_n: int | None = None
+    """Columns with both coatings."""
+    half_thickness_difference_um: Number = None
+    """Mean height above the centre surface, top less bottom."""
+    half_thickness_sd_ratio: Number = None
+    """Standard deviation of the top's over the bottom's."""
+    half_thickness_correlation: Number = None
+    """r of both, outward heights."""
+    half_thickness_n: int | None = None
+    """Columns with both."""
+    topography_difference_um: Number = None
+    """Mean topography of the top less that of the bottom: each is about its own form."""
+    topography_sd_ratio: Number = None
+    """Standard deviation of the top's topography over that of the bottom's."""
+    topography_correlation: Number = None
+    """r of both topographies, outward heights."""
+    topography_n: int | None = None
+    """Columns with both topographies."""
 
 
-class ProfileFacts(ResultModel):
+class ProfileFacts(DescribedModel):
     """Mean of some properties over the depth of the base.
 
     The depth is 0 at the bottom interface and 1 at the top one.
     """
 
-    depth: tuple[float, ...] = Field(description="Middle of each layer of the base.")
-    values: dict[str, tuple[Number, ...]] = Field(
-        description="Mean of each property in each layer."
-    )
+    depth: tuple[float, ...]
+    """Middle of each layer of the base."""
+    values: dict[str, tuple[Number, ...]]
+    """Mean of each property in each layer."""
 
 
-class SheetNumbers(ResultModel):
+class SheetNumbers(DescribedModel):
     """What describes a sheet and is no map; keyed by side."""
 
-    thin: dict[Side, ThinFacts] = Field(
-        description="Thin and uncovered shares of the coating, by side."
-    )
-    roughness: dict[Side, RoughnessFacts] = Field(
-        default={}, description="Roughness of the face, by side."
-    )
-    roughness_about_centre: dict[Side, RoughnessFacts] = Field(
-        default={},
-        description="Of heights above the centre surface, as runs up to format 3 have it.",
-    )
+    thin: dict[Side, ThinFacts]
+    """Thin and uncovered shares of the coating, by side."""
+    roughness: dict[Side, RoughnessFacts] = {}
+    """Roughness of the face, by side."""
+    roughness_about_centre: dict[Side, RoughnessFacts] = {}
+    """Of heights above the centre surface, as runs up to format 3 have it."""
     form_um: Number = optional(
         "Nesting index of the form, a Gaussian regression of second order, above which topographies"
         " and surfaces of the base lie."
     )
-    two_sides: TwoSidesFacts = Field(description="Top against bottom.")
-    profiles: ProfileFacts | None = optional(
-        "Porosity and filler over the depth, where their maps were measured."
-    )
+    two_sides: TwoSidesFacts
+    """Top against bottom."""
+    profiles: ProfileFacts | None = None
+    """Porosity and filler over the depth, where their maps were measured."""
 
 
-class HoleTiltFacts(ResultModel):
+class HoleTiltFacts(DescribedModel):
     """What the holes of a sheet look like through its thickness."""
 
-    through: int = Field(description="Holes that are seen on both sides.")
-    closed: int = Field(description="Holes that are closed on the other side.")
-    unclear: int = Field(description="Holes whose other side is open but not round, or not known.")
-    other_side_only: int = Field(description="Holes that are seen on the other side only.")
-    offset_count: int = Field(description="Holes that the offset rests on.")
-    offset_um: tuple[Number, Number] = Field(
-        description="Median offset from the top's rims to the bottom's, along x and y."
-    )
-    offset_spread_um: tuple[Number, Number] = Field(
-        description="Robust standard deviation of it from hole to hole."
-    )
-    offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
-    to_face_um: Pair = Field(
-        default=(0.0, 0.0),
-        description="What was added to the places in the layer to have them at the face.",
-    )
-    tilt_deg: tuple[Number, Number] | None = optional("The same offset as an angle, along x and y.")
-    side: Side = Field(description="Side whose rims were used.")
-    sentence: str = Field(description="The same in words.")
+    through: int
+    """Holes that are seen on both sides."""
+    closed: int
+    """Holes that are closed on the other side."""
+    unclear: int
+    """Holes whose other side is open but not round, or not known."""
+    other_side_only: int
+    """Holes that are seen on the other side only."""
+    offset_count: int
+    """Holes that the offset rests on."""
+    offset_um: tuple[Number, Number]
+    """Median offset from the top's rims to the bottom's, along x and y."""
+    offset_spread_um: tuple[Number, Number]
+    """Robust standard deviation of it from hole to hole."""
+    offset_error_um: tuple[Number, Number]
+    """Standard error of the median."""
+    to_face_um: Pair = (0.0, 0.0)
+    """What was added to the places in the layer to have them at the face."""
+    tilt_deg: tuple[Number, Number] | None = None
+    """The same offset as an angle, along x and y."""
+    side: Side
+    """Side whose rims were used."""
+    sentence: str
+    """The same in words."""

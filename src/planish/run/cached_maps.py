@@ -96,10 +96,8 @@ def sheets_of(
         return ready_sheets, similar_sheets
     if old_study.packages != study.packages or not results.is_of_this_code:
         return ready_sheets, similar_sheets
-    old_layers = {
-        (layer.name, facts.source.sha256): layer
-        for layer, facts in zip(old_study.layers, results.layers, strict=True)
-    }
+    pairs = zip(old_study.layers, results.layers, strict=True)
+    old_layers = {(layer.name, facts.source.sha256): layer for layer, facts in pairs}
     kinds = [layer.kind for layer in results.layers]
     is_own_map = len(kinds) == 1 or kinds == ["sheet", "image"]
     for layer, sha256 in zip(study.layers, hashes, strict=True):

@@ -216,10 +216,9 @@ def _machine_direction(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> float
 
 
 def _mottle(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> tuple[Mottle, ...]:
+    images = [(layer.name, layer.image) for layer in facts if layer.image is not None]
     return tuple(
-        mottle_of(layer.name, overlay.maps[layer.name], quantity=layer.image.quantity)
-        for layer in facts
-        if layer.image is not None
+        mottle_of(name, overlay.maps[name], quantity=image.quantity) for name, image in images
     )
 
 

@@ -147,12 +147,13 @@ def _factors(params: ExplainParams, like: xr.DataArray, grid: Grid) -> dict[str,
 def _errors_in(data: xr.Dataset, cell_um: float) -> dict[str, float]:
     """Standard errors over cells of all maps and surfaces of a Dataset that it states."""
     pixel_um = Grid.of(data).pixel_um
-    errors = {
-        str(name).removesuffix("_se"): _error_of_cells(values, cell_um, pixel_um)
-        for name, values in data.items()
-        if str(name).endswith("_se")
-    }
-    return {name: error for name, error in errors.items() if math.isfinite(error)}
+    errors: dict[str, float] = {}
+    for name in map(str, data):
+        if name.endswith("_se"):
+            error = _error_of_cells(data[name], cell_um, pixel_um)
+            if math.isfinite(error):
+                errors[name.removesuffix("_se")] = error
+    return errors
 
 
 def _error_of_cells(standard_errors: xr.DataArray, cell_um: float, pixel_um: Pair) -> float:

@@ -78,8 +78,9 @@ def _read_image(params: GivenLayer) -> MappedLayer:
     assert params.image is not None
     image, corrected = read_corrected(params.image)
     pixel_um = tuple(map(float, image.attrs["pixel_um"]))
+    checks = run_checks(ImageFile(image=image, light=corrected and corrected.facts))
     return MappedLayer(
-        checks=tuple(run_checks(ImageFile(image=image, light=corrected and corrected.facts))),
+        checks=tuple(checks),
         params=changed(params, image={"pixel_um": pixel_um}),
         source=input_file(image, params.path),
         image=image,

@@ -357,12 +357,9 @@ def _tables_of(study: Study, data: Entries, keys: list[str]) -> tuple[list[Entri
         name, *keys = keys
     if keys[0] in _LAYER_SECTIONS:
         kind = "image" if keys[0] == "image" else "volume"
-        tables = [
-            table
-            for layer, table in zip(study.layers, data["layers"], strict=True)
-            if layer.kind == kind and name in (None, layer.name)
-        ]
-        return tables, keys
+        layers = zip(study.layers, data["layers"], strict=True)
+        of_kind = [(layer.name, table) for layer, table in layers if layer.kind == kind]
+        return [table for layer, table in of_kind if name in (None, layer)], keys
     is_of_study = name is None and keys[0] in Study.model_fields and keys[0] != "layers"
     tables = [data] if is_of_study else []
     return tables, keys

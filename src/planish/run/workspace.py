@@ -133,7 +133,12 @@ def open_workspace(
             store_folder = folder / f".{secrets.token_hex(4)}.partial" if study.is_link else None
             store = StoredMaps(store_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
             caches = CachedMaps.of_link(study, hashes, out, compute)
-            sheets, similar_sheets = _mapped_before(study, hashes, caches, old)
+            cached = {name: cache.read() for name, cache in caches.items()}
+            sheets = {name: sheet for name, sheet in cached.items() if sheet is not None}
+            similar_sheets: dict[str, MappedLayer] = {}
+            if old is not None:
+                ready_sheets, similar_sheets = sheets_of(old, study, hashes)
+                sheets |= ready_sheets
             for name in sheets:
                 progress("read", f"{name}, mapped before")
             yield Workspace(
@@ -148,18 +153,6 @@ def open_workspace(
                 similar_sheets=similar_sheets,
                 caches=caches,
             )
-
-
-def _mapped_before(
-    study: Study, hashes: list[str], caches: Mapping[str, CachedMaps], old: Path | None
-) -> tuple[dict[str, MappedLayer], dict[str, MappedLayer]]:
-    """Sheets that need no mapping, of a refused link or an old run; and similar ones."""
-    cached = {name: cache.read() for name, cache in caches.items()}
-    sheets = {name: sheet for name, sheet in cached.items() if sheet is not None}
-    if old is None:
-        return sheets, {}
-    ready_sheets, similar_sheets = sheets_of(old, study, hashes)
-    return sheets | ready_sheets, similar_sheets
 
 
 def hash_of_input(path: str | Path) -> str:
