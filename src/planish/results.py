@@ -36,6 +36,7 @@ from planish.core.facts import (
 from planish.core.older_names import FORMAT, todays_names
 from planish.core.source_hash import is_this_code
 from planish.core.tables import naming_faults
+from planish.core.typing import Entries, Texts
 from planish.flatten import FlatteningQuality
 
 
@@ -148,7 +149,7 @@ class SectionFacts(DescribedModel):
     """Missing sections that were bridged."""
     cutoff_um: float
     """Waves longer than this along the cut were left alone."""
-    fixed: tuple[str, ...]
+    fixed: Texts
     """What held the slow waves: row, col, rotation; empty without anything fixed."""
     pairs_used: int
     """Pairs of sections that were compared."""
@@ -255,7 +256,7 @@ class RegistrationFacts(DescribedModel):
 
     to: str
     """Layer that it was registered to."""
-    path: tuple[str, ...]
+    path: Texts
     """Layers from this one to the reference."""
     source: str
     """'found', 'texture', or the kind of file that the marks came from."""
@@ -277,7 +278,7 @@ class RegistrationFacts(DescribedModel):
     """Model of the transform that was fitted."""
     model_sentence: str
     """The model and its errors in words."""
-    warnings: tuple[str, ...]
+    warnings: Texts
     """What to be careful about."""
     rms_um: float
     """Root mean square of the residuals."""
@@ -414,7 +415,7 @@ class Results(DescribedModel):
     """Why there are no such octaves."""
     checks: tuple[Check, ...]
     """Every check with its state."""
-    parameters: dict[str, Any]
+    parameters: Entries
     """Every parameter of the study; paths are left out."""
 
     @property
@@ -499,7 +500,7 @@ class Results(DescribedModel):
             return cls.model_validate(data)
 
 
-def _from_older_format(stored_json: dict[str, Any]) -> dict[str, Any]:
+def _from_older_format(stored_json: Entries) -> Entries:
     """Bring results of format 2 (planish 0.2.0) or 3 to today's format."""
     stored_format = stored_json["format"]
     if stored_format == 2:
@@ -527,7 +528,7 @@ def _from_format_2(stored_json: Any) -> Any:
         return [_from_format_2(part) for part in stored_json]  # type: ignore[reportUnknownVariableType]
     if not isinstance(stored_json, dict):
         return stored_json
-    converted: dict[str, Any] = {
+    converted: Entries = {
         name: _from_format_2(part)
         for name, part in stored_json.items()
         if name not in (*_LEFT_OUT_OF_2, "gates")

@@ -30,6 +30,7 @@ from planish.core.facts import (
 )
 from planish.core.older_names import todays_names
 from planish.core.tables import naming_faults, read_text
+from planish.core.typing import Texts
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its
 # input cannot be used. ``damaged``: a fault of the machine or of planish: memory, disk, a process
@@ -124,7 +125,7 @@ class SeriesSpecimen(DescribedModel):
     """Sheet that it counts as a field of, among those of its paper."""
     light: State | None = None
     """Worst state of its checks."""
-    spoken: dict[State, tuple[str, ...]] = Field(default_factory=dict)
+    spoken: dict[State, Texts] = Field(default_factory=dict)
     """Names of the checks that fail, ask for a look, or could not be answered."""
     marks_used: int | None = None
     """Pairs of marks in use; the fewest of its layers."""
@@ -174,9 +175,9 @@ class DifferenceFacts(SetDifference, _OfLevels):
     """One quantity of two levels of a factor, the second minus the first."""
 
     smallest_seen: Value = optional("Difference that such a study sees in 80 % of cases.")
-    unpaired: tuple[str, ...] = ()
+    unpaired: Texts = ()
     """Sheets without a partner, where sheets pair."""
-    left_out: tuple[str, ...] = ()
+    left_out: Texts = ()
     """Specimens of both levels that do not count."""
     reason: str = ""
     """Why there is no interval."""
@@ -237,9 +238,9 @@ class SeriesResults(DescribedModel):
     """What is compared, the leading map first."""
     headline_declared: bool
     """Whether the maps were declared; else they are those of the runs."""
-    factors: tuple[str, ...] = ()
+    factors: Texts = ()
     """All factors of the table."""
-    grouped_by: tuple[str, ...] = ()
+    grouped_by: Texts = ()
     """Factors that make the groups."""
     compared_by: str | None = None
     """Factor that is compared; None where there is none."""
@@ -253,7 +254,7 @@ class SeriesResults(DescribedModel):
     """By quantity and pair of levels."""
     instruments: tuple[InstrumentFacts, ...] = ()
     """Specimens measured by two instruments."""
-    cautions: tuple[str, ...] = ()
+    cautions: Texts = ()
     """What to be careful about."""
 
     @model_validator(mode="before")

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from planish.app.apply_worker import TARGET
 from planish.app.changes import State
@@ -22,6 +22,7 @@ from planish.app.order import STAGING, new_run_folder, order_of
 from planish.app.session import Session
 from planish.core.errors import InputError
 from planish.core.facts import ResultModel
+from planish.core.typing import Entries
 from planish.io.run_folder import sweep
 
 Phase = Literal["idle", "working", "done", "failed", "cancelled"]
@@ -174,7 +175,7 @@ class Applying:
     def _follow_progress(self, process: subprocess.Popen[str], out: Path) -> None:
         """Take over what the process reports, until it ends, and clean up where it made nothing."""
         assert process.stdout is not None
-        last_message: dict[str, Any] = {}
+        last_message: Entries = {}
         for line in process.stdout:
             last_message = json.loads(line)
             if last_message["state"] == "working":

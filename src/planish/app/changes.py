@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter
 from planish.core.errors import InputError
 from planish.core.tables import naming_faults
 from planish.core.text import printable
+from planish.core.typing import Entries
 from planish.marks.exchange.lists import MOST_MARKS, Part
 from planish.marks.regions.model import LONGEST_TEXT
 from planish.register.params import ModelChoice
@@ -82,6 +83,9 @@ class Mark(Part):
         Also where one of its ends was moved by hand.
         """
         return any(end is not None and end.source == "tile" for end in (self.moving, self.fixed))
+
+
+Marks = tuple[Mark, ...]
 
 
 class CorrectedPoint(Part):
@@ -162,7 +166,7 @@ class Import(_Change):
     """Other marks in place of all that are there."""
 
     do: Literal["import"] = "import"
-    marks: Annotated[tuple[Mark, ...], Field(max_length=MOST_MARKS)]
+    marks: Annotated[Marks, Field(max_length=MOST_MARKS)]
 
 
 class ChooseModel(_Change):
@@ -228,13 +232,13 @@ def numbered(change: Change, line_number: int) -> Change:
 class State:
     """What stands after some changes."""
 
-    marks: Mapping[str, tuple[Mark, ...]]  # by the name of the moving layer, newest last
+    marks: Mapping[str, Marks]  # by the name of the moving layer, newest last
     model: str = "auto"  # transformation that is fitted
     corrections: tuple[Correct, ...] = ()
     regions: tuple[DrawnRegion, ...] = ()
     first_layer: str = ""  # the one of changes that name none
 
-    def of(self, layer: str | None) -> tuple[Mark, ...]:
+    def of(self, layer: str | None) -> Marks:
         """Marks of one registration, of the first where none is named.
 
         ChangeError for another name.
@@ -273,9 +277,7 @@ def applied(state: State, change: Change) -> State:
             return replace(state, marks={**state.marks, change.layer or state.first_layer: marks})
 
 
-def _marks_after(
-    marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import
-) -> tuple[Mark, ...]:
+def _marks_after(marks: Marks, change: Add | Move | Use | Relabel | Remove | Import) -> Marks:
     """Marks of a registration after a change of one of them, or of all."""
     match change:
         case Add():
@@ -298,7 +300,7 @@ def _marks_after(
             return change.marks
 
 
-def _ends_of(change: Add | Move, fault: str) -> dict[str, Any]:
+def _ends_of(change: Add | Move, fault: str) -> Entries:
     """Ends of a mark that a change gives; ChangeError where there is none."""
     ends = {"moving": change.moving, "fixed": change.fixed}
     ends = {side: end for side, end in ends.items() if end is not None}
@@ -307,7 +309,7 @@ def _ends_of(change: Add | Move, fault: str) -> dict[str, Any]:
     return ends
 
 
-def _free_label(marks: tuple[Mark, ...], label: str, mark_id: str) -> str:
+def _free_label(marks: Marks, label: str, mark_id: str) -> str:
     """A label that can stand in a table, and that no other mark has."""
     if any(mark.label == label and mark.id != mark_id for mark in marks):
         raise ChangeError(f"Another mark is called {label!r}. Choose another label.")
@@ -336,7 +338,7 @@ def checked_label(label: str) -> str:
 T = TypeVar("T", Mark, Correct, DrawnRegion)
 
 
-def _with_fields(marks: tuple[Mark, ...], mark_id: str, **fields: Any) -> tuple[Mark, ...]:
+def _with_fields(marks: Marks, mark_id: str, **fields: Any) -> Marks:
     changed_mark = _element_of_id(marks, mark_id)
     return tuple(mark.model_copy(update=fields) if mark is changed_mark else mark for mark in marks)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from planish.app.changes import Mark
+from planish.app.changes import Mark, Marks
 from planish.app.picture import PLANES, WHERE, Plane, finite_or_none
 from planish.app.session import dataset_of
 from planish.core.errors import PlanishError
@@ -134,7 +134,7 @@ class Fitted:
     """A fit as the page shows it."""
 
     fit: FittedTransform | None  # to the pairs in use; of a quick model while another one follows
-    pairs: tuple[Mark, ...]  # in use or not
+    pairs: Marks  # in use or not
     is_outlier: Bools  # (n,), pairs that stand out
     is_rejected: Bools  # (n,), pairs in use to which the fit gives no weight
     residual_um: Floats  # (n,), of all pairs

@@ -8,7 +8,7 @@ import threading
 import time
 from dataclasses import asdict
 
-from planish.app.changes import Mark
+from planish.app.changes import Mark, Marks
 from planish.app.fits import QUICK, Fitted, fitted
 from planish.app.picture import PLANES, finite_or_none
 from planish.app.session import Session
@@ -23,7 +23,7 @@ way to the screen."""
 _log = logging.getLogger("planish.app")
 
 
-Wanted = tuple[tuple[Mark, ...], str]  # marks, and the model that is fitted to them
+Wanted = tuple[Marks, str]  # marks, and the model that is fitted to them
 
 
 class Live:

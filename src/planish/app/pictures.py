@@ -13,7 +13,6 @@ from typing import Self
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.analyze.compare import is_property
 from planish.app.picture import (
@@ -32,7 +31,7 @@ from planish.core.grid import Grid
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import TILE_BYTES
-from planish.core.typing import Array, Ints, Window
+from planish.core.typing import Array, Ints, Singles, Window
 from planish.io import ImageParams, fingerprint
 from planish.io.image import across, channel_of
 from planish.io.light import read_corrected
@@ -252,9 +251,9 @@ class _ImageValues(LazyArray):
         self.dtype = np.dtype(np.float32)
         self._lock = threading.Lock()
         self._decoded: DecodedPicture | None = None
-        self._corrected: NDArray[np.float32] | None = None
+        self._corrected: Singles | None = None
 
-    def read(self, where: Where) -> NDArray[np.float32]:
+    def read(self, where: Where) -> Singles:
         """Read a window."""
         params = self._params
         path = Path(self._params.path)

@@ -22,6 +22,7 @@ from planish.app.changes import (
     DrawnRegion,
     End,
     Mark,
+    Marks,
     State,
     applied,
     change_of,
@@ -402,7 +403,7 @@ def pairs_of(
     fixed: str = "fixed",
     *,
     label: Callable[[Any], str] = str,
-) -> tuple[Mark, ...]:
+) -> Marks:
     """Give the marks of a file that lie in both planes."""
     ends = zip(ends_of(marks, moving), ends_of(marks, fixed), strict=True)
     pairs: list[Mark] = []

@@ -4,7 +4,7 @@ They are read by window from the volume's file and the store of the run.
 """
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -22,7 +22,7 @@ from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.labelled import read_box
 from planish.core.memory import LOOK_BYTES
-from planish.core.typing import Array, Floats, Pair, Texts, Window
+from planish.core.typing import Array, Floats, Pair, Singles, Texts, Window
 from planish.io import find_place, read_volume
 from planish.io.map_store import stored_group
 from planish.io.params import VolumeParams
@@ -40,6 +40,9 @@ WIDEST = 2048
 
 HEIGHTS = ("top", "interface_top", "centre", "interface_bottom", "bottom")
 _EXACT = np.dtype("u1"), np.dtype("u2")
+
+
+Lines = dict[str, Floats]  # curves by name
 
 
 class AxisFacts(ResultModel):
@@ -79,8 +82,8 @@ class SheetSlice:
 
     facts: SliceFacts
     pixels: NDArray[np.uint16]
-    lines: Sequence[NDArray[np.float32]]
-    contours: Sequence[NDArray[np.float32]]
+    lines: Sequence[Singles]
+    contours: Sequence[Singles]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -139,8 +142,8 @@ class SlicedSheet:
         index: int,
         values: Array,
         codes: Codes | None = None,
-        lines: Mapping[str, Floats] | None = None,
-        contours: Mapping[str, Floats] | None = None,
+        lines: Lines | None = None,
+        contours: Lines | None = None,
         **axes: AxisFacts,
     ) -> SheetSlice:
         """A slice as the page takes it: grey in 16 bits, curves in 32, and what both mean."""
@@ -287,7 +290,7 @@ class SlicedSheet:
             columns=columns,
         )
 
-    def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s_um: Floats) -> Floats:
+    def _sampled(self, index: int, window: slice, lines: Lines, s_um: Floats) -> Floats:
         """Grey along the normals of one row, (s, columns)."""
         from scipy import ndimage
 
@@ -302,7 +305,7 @@ class SlicedSheet:
         values = np.full((s_um.size, centre.size), np.nan)
         if not is_sheet.any():
             return values
-        samples_um: dict[str, Floats] = {}
+        samples_um: Lines = {}
         for direction, um in centre_um.items():
             along_normal_um = s_um[:, None] * lines[f"normal_{direction}"][is_sheet]
             samples_um[getattr(frame, direction)] = um[is_sheet] + along_normal_um
@@ -335,7 +338,7 @@ class SlicedSheet:
 
     def _lines(
         self, along: str, index: int, columns: slice, corrections: Corrections | None
-    ) -> dict[str, Floats]:
+    ) -> Lines:
         """What is known of a row or column of the surfaces, and the normals of the sheet there."""
         axis = 0 if along == self.frame.cols else 1
         neighbours = slice(max(index - 1, 0), index + 2)
@@ -356,7 +359,7 @@ class SlicedSheet:
             lines |= self._preview(*window, corrections)
         return lines
 
-    def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Floats]:
+    def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> Lines:
         """The faces of some columns as corrections would move them."""
         preview = preview_faces(self.surfaces, self.volume, corrections, (rows, cols))
         if preview is None:
@@ -368,7 +371,7 @@ class SlicedSheet:
             for a, b in zip((rows, cols), window, strict=True)
         ]
         target, source = (tuple(map(_relative, overlap, s)) for s in ((rows, cols), window))
-        faces: dict[str, Floats] = {}
+        faces: Lines = {}
         for face in ("top", "bottom"):
             values = measured[face].values.astype(np.float64)
             if all(s.stop > s.start for s in overlap):

@@ -8,7 +8,6 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tifffile
@@ -18,6 +17,7 @@ from planish.core.arrays import check_image, check_volume
 from planish.core.errors import FileError
 from planish.core.files import writing
 from planish.core.frame import Frame
+from planish.core.typing import Entries
 from planish.io.run_folder import refuse_existing, remove
 from planish.io.store import write_store
 from planish.run.compute import Compute
@@ -38,7 +38,7 @@ class ArraySource:
     name: str | None = None
 
     @property
-    def options(self) -> dict[str, Any]:
+    def options(self) -> Entries:
         """What it says of itself: its size, and how the sheet lies or which side is shown."""
         if self.kind == "image":
             return {"pixel_um": self.size_um, "side": self.array.attrs.get("side")}
@@ -64,6 +64,7 @@ class ArraySource:
             tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
 
 
+LayerSource = str | Path | ArraySource
 _FILE_NAMES = {"volume": ("sheet", ".zarr"), "image": ("image", ".tif")}
 
 
@@ -75,7 +76,7 @@ def inputs_folder(out: Path) -> Path:
 @contextmanager
 def layer_sources(
     layers: Sequence[GivenSource], out: str | Path | None, call_text: str
-) -> Generator[list[str | Path | ArraySource]]:
+) -> Generator[list[LayerSource]]:
     """Give each layer its path.
 
     Arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
@@ -102,9 +103,7 @@ def layer_sources(
         remove(folder)
 
 
-def _with_paths(
-    sources: Sequence[str | Path | ArraySource], folder: Path
-) -> Iterator[str | Path | ArraySource]:
+def _with_paths(sources: Sequence[LayerSource], folder: Path) -> Iterator[LayerSource]:
     """The layers, those in memory with the files that they will have in a folder."""
     kinds = [source.kind for source in sources if isinstance(source, ArraySource)]
     for k, source in enumerate(sources, 1):
@@ -117,7 +116,7 @@ def _with_paths(
         yield replace(source, path=folder / f"{stem}{suffix}")
 
 
-def _source(layer: GivenSource, call_text: str) -> str | Path | ArraySource:
+def _source(layer: GivenSource, call_text: str) -> LayerSource:
     if isinstance(layer, Run):
         if layer.folder is None:
             raise FileError(

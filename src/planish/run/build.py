@@ -17,7 +17,7 @@ from planish.core.typing import Entries, Fields, Texts
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
-from planish.run.array_layers import ArraySource, GivenSource, layer_sources
+from planish.run.array_layers import ArraySource, GivenSource, LayerSource, layer_sources
 from planish.run.compute import Compute, Progress, silent
 from planish.run.pipeline import run_study
 from planish.run.run import Run, is_run
@@ -144,7 +144,7 @@ def _make(
 
 
 def study_of(
-    layers: Sequence[str | Path | ArraySource],
+    layers: Sequence[LayerSource],
     sections: Mapping[str, Fields],
     *,
     chain: bool = False,
@@ -216,7 +216,7 @@ class PathSource(NamedTuple):
     name: str | None
 
 
-def _source(layer: str | Path | ArraySource, *, is_link: bool) -> PathSource | ArraySource:
+def _source(layer: LayerSource, *, is_link: bool) -> PathSource | ArraySource:
     """Tell a run, an image and a volume; its own reader names its faults.
 
     A text may be ``NAME=PATH``.
@@ -323,7 +323,7 @@ def _table_in(value: Any) -> Entries | None:
     """Options of a section, of a model or a mapping; None where it is neither."""
     if isinstance(value, Params):
         return value.model_dump(exclude_unset=True)
-    return deepcopy(dict[str, Any](value)) if isinstance(value, Mapping) else None
+    return deepcopy(Entries(value)) if isinstance(value, Mapping) else None
 
 
 def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, Texts]:

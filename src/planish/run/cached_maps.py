@@ -15,7 +15,7 @@ from planish.core.files import write_text
 from planish.core.text import quoted
 from planish.run.array_layers import inputs_folder
 from planish.run.compute import Compute, run_key
-from planish.run.layers import MappedLayer
+from planish.run.layers import Layers, MappedLayer
 from planish.run.packages import with_packages
 from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
@@ -79,16 +79,14 @@ class CachedMaps(NamedTuple):
         write_text(folder / _REQUEST, f"{self.key}\n{study.model_dump_json()}\n")
 
 
-def sheets_of(
-    old: Path, study: Study, hashes: Sequence[str]
-) -> tuple[dict[str, MappedLayer], dict[str, MappedLayer]]:
+def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[Layers, Layers]:
     """Give the sheets of a run that a study asks for, of the same files and by this planish code.
 
     The first have the same parameters; the second the same surface, and other properties,
     flattening, or corrections.
     """
-    ready_sheets: dict[str, MappedLayer] = {}
-    similar_sheets: dict[str, MappedLayer] = {}
+    ready_sheets: Layers = {}
+    similar_sheets: Layers = {}
     try:
         results = open_results(old)
         old_study = read_study(old / RUN_TOML)

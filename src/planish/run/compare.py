@@ -35,6 +35,7 @@ from planish.run.regions import regions_on
 from planish.run.study import Study
 from planish.texture.length_unit import length_unit_um
 
+FactsOfLayers = tuple[LayerFacts, ...]
 Textures = dict[tuple[str, str], TextureFound]
 
 
@@ -42,7 +43,7 @@ Textures = dict[tuple[str, str], TextureFound]
 class Comparison:
     """What linked layers say of each other, as it goes into the results of a run."""
 
-    layers: tuple[LayerFacts, ...]
+    layers: FactsOfLayers
     textures: Textures  # of pairs of layers that show one side of the sheet
     correlations: tuple[CorrelationRow, ...]
     evidence: tuple[EvidenceFacts, ...]
@@ -71,6 +72,11 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
     if study.is_sheet_on_image:
         area = linked_area(overlay.store.group(LINKED), overlay.mask)
         registrations = _compare_registrations(study, overlay, facts[0].headline)
+    mottle: list[Mottle] = []
+    for layer in facts:
+        if study.correlate.mottle and layer.image is not None:
+            maps = overlay.maps[layer.name]
+            mottle.append(mottle_of(layer.name, maps, quantity=layer.image.quantity))
     refined, refinement = None, None
     if study.registration.refine is not None:
         refined, refinement = _refine(study, overlay, facts)
@@ -79,7 +85,7 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
         textures=textures,
         correlations=tuple(correlations),
         evidence=_evidence(study, overlay, facts),
-        mottle=_mottle(overlay, facts) if study.correlate.mottle else (),
+        mottle=tuple(mottle),
         area=area,
         registrations=registrations,
         refinement=refinement,
@@ -101,7 +107,7 @@ def _side_of(a: LinkedLayer, b: LinkedLayer) -> Side:
     return "bottom" if "bottom" in (a.layer.side, b.layer.side) else "top"
 
 
-def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> tuple[LayerFacts, ...]:
+def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> FactsOfLayers:
     """What each layer is; of those placed by texture, with r that their place was not tuned on."""
     reference = overlay.reference
     facts = dict[str, LayerFacts]()
@@ -162,9 +168,7 @@ def _bound(is_in: Bools) -> slice:
     return slice(places[0], places[-1] + 1) if places else slice(0, 0)
 
 
-def _evidence(
-    study: Study, overlay: Overlay, facts: tuple[LayerFacts, ...]
-) -> tuple[EvidenceFacts, ...]:
+def _evidence(study: Study, overlay: Overlay, facts: FactsOfLayers) -> tuple[EvidenceFacts, ...]:
     """What stands beside the correlation of each layer with the reference.
 
     Not where they share too little.
@@ -201,7 +205,7 @@ def _columns_of(linked: LinkedLayer) -> SheetColumns:
     )
 
 
-def _machine_direction(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> float | None:
+def _machine_direction(overlay: Overlay, facts: FactsOfLayers) -> float | None:
     """Machine direction on the reference: as it was given there, or as marks carry it over."""
     reference = overlay.reference.layer
     if reference.md_deg is not None:
@@ -213,13 +217,6 @@ def _machine_direction(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> float
         if registration.to == reference.name
     ]
     return next((angle_deg for angle_deg in carried_deg if angle_deg is not None), None)
-
-
-def _mottle(overlay: Overlay, facts: tuple[LayerFacts, ...]) -> tuple[Mottle, ...]:
-    images = [(layer.name, layer.image) for layer in facts if layer.image is not None]
-    return tuple(
-        mottle_of(name, overlay.maps[name], quantity=image.quantity) for name, image in images
-    )
 
 
 def _compare_registrations(
@@ -241,7 +238,7 @@ def _compare_registrations(
 
 
 def _refine(
-    study: Study, overlay: Overlay, facts: tuple[LayerFacts, ...]
+    study: Study, overlay: Overlay, facts: FactsOfLayers
 ) -> tuple[xr.Dataset, RefinementFacts]:
     """The first of two layers where the maps of both bring it.
 

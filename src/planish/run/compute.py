@@ -35,6 +35,7 @@ from planish.core.memory import (
 from planish.core.options import Params, option
 from planish.core.source_hash import hash_sources
 from planish.core.tiles import Engine
+from planish.core.typing import Entries
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -239,7 +240,7 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
             ) from error
 
 
-def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:
+def run_key(study: Entries, fingerprints: list[str]) -> str:
     """Identify a run whose tiles may be used again.
 
     The study, the bytes of its inputs and the program's code tell it.

@@ -18,7 +18,7 @@ from planish.marks.regions import read_regions
 from planish.resample.maps import se_of_mean
 from planish.run.named_maps import (
     EXPLAINED,
-    NamedMap,
+    NamedMaps,
     is_declared,
     maps_of,
     maps_of_dataset,
@@ -103,9 +103,7 @@ def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
     return xr.DataArray(residuals.values.astype(np.float32), coords, attrs=attrs)
 
 
-def _model_maps(
-    params: ExplainParams, maps: Mapping[str, NamedMap], errors: Mapping[str, float]
-) -> ModelMaps:
+def _model_maps(params: ExplainParams, maps: NamedMaps, errors: Mapping[str, float]) -> ModelMaps:
     """The maps of a model, the masks of all groups that they are of, and regions as factors."""
     response = named(maps, params.response)
     predictors = {name: named(maps, name) for name in params.of}

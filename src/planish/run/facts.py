@@ -286,6 +286,7 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
     )
 
 
+Rows = Iterator[Sequence[Any]]  # of a table
 _LIGHT_OFF = "a quadratic field of light off"  # beside an r in ``figures.csv``
 
 
@@ -313,9 +314,7 @@ def _text(figure: float | None) -> float | str:
     return "" if figure is None or not is_known(figure) else figure
 
 
-def _property_rows(
-    layer: str, sheet: SheetFacts, why: Callable[[str], str]
-) -> Iterator[Sequence[Any]]:
+def _property_rows(layer: str, sheet: SheetFacts, why: Callable[[str], str]) -> Rows:
     """Give a row for each figure of each property; ``why`` names the checks that concern one."""
     for name, p in sheet.properties.items():
         trust_cells = (p.n, p.trust, why(name))
@@ -331,7 +330,7 @@ def _property_rows(
             yield layer, name, statistic, _text(value), _text(error), units, *trust_cells
 
 
-def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
+def _figure_rows(results: Results) -> Rows:
     """Rows of ``figures.csv``: properties and position of each layer, then all r."""
     for layer in results.layers:
         why = partial(_why, results.checks, (layer.name,))
@@ -350,7 +349,7 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
         yield from _light_rows(results, evidence)
 
 
-def _r_rows(results: Results, row: CorrelationRow) -> Iterator[Sequence[Any]]:
+def _r_rows(results: Results, row: CorrelationRow) -> Rows:
     """Give a row for an r, and one for each limit of its interval."""
     figure_name = f"r of {row.a_map} and {row.b_map}"
     if row.negative_control:
@@ -380,7 +379,7 @@ def _r_cells(
             yield f"{text}, {side} 95 % limit", limit, "", "1", round(n_eff)
 
 
-def _light_rows(results: Results, evidence: EvidenceFacts) -> Iterator[Sequence[Any]]:
+def _light_rows(results: Results, evidence: EvidenceFacts) -> Rows:
     """Give the r that does not lead: without a smooth field in the image, or with it.
 
     A check of that field does not doubt it.

@@ -30,7 +30,7 @@ from planish.io.light import LIGHT
 from planish.results import LayerFacts, Results
 from planish.run.compare import Comparison
 from planish.run.holes import HoleSearch
-from planish.run.layers import Link, LinkedLayer, MappedLayer
+from planish.run.layers import Datasets, Link, LinkedLayer, MappedLayer
 from planish.run.overlay import LINKED, Overlay
 from planish.run.packages import with_packages
 from planish.run.regions import region_facts
@@ -92,9 +92,7 @@ def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: Ho
     return replace(run, sheets=volumes)
 
 
-def _groups_of_link(
-    study: Study, overlay: Overlay, comparison: Comparison
-) -> dict[str, xr.Dataset]:
+def _groups_of_link(study: Study, overlay: Overlay, comparison: Comparison) -> Datasets:
     if study.is_sheet_on_image:
         groups = overlay.layers[0].layer.groups | {LINKED: overlay.store.group(LINKED)}
     else:

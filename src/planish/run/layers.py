@@ -16,7 +16,11 @@ from planish.results import SheetFacts
 from planish.run.registration import Registration
 from planish.run.study import GivenLayer
 
-Shown = xr.DataArray | Mapping[str, xr.Dataset]
+Groups = Mapping[str, xr.Dataset]
+"""Datasets of a sheet or a run, by the names of their groups."""
+
+Datasets = dict[str, xr.Dataset]
+Shown = xr.DataArray | Groups
 """What is brought to the reference: an image, or the groups of a sheet; the maps only where it is
 the reference."""
 
@@ -35,7 +39,7 @@ class MappedLayer:
     compared: xr.DataArray | None = None
     # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u),
     # ``slices``, and ``sections`` of serial sections.
-    groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
+    groups: Datasets = field(default_factory=Datasets)
     # Groups that stand in the store of another run with the same bytes, and that store.
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
     by_this_code: bool = True  # not of a sheet that was read from a run of other code
@@ -87,6 +91,10 @@ class MappedLayer:
         It is the top for flat maps, and for an image of which nothing is known.
         """
         return self.side_given or self.side_found or "top"
+
+
+Layers = dict[str, MappedLayer]
+"""Layers by their names."""
 
 
 class Link(NamedTuple):

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -31,7 +30,7 @@ from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.grid import Grid, pitch
 from planish.core.options import params_of
 from planish.core.transform import Similarity
-from planish.core.typing import Array, Pair
+from planish.core.typing import Array, Entries, Pair
 from planish.measure.registry import HEIGHTS, LENGTHS, NEGATIVE_CONTROLS, has_true_zero
 from planish.report.scales import scales_page, tables_of
 from planish.report.sentences.scales import leading
@@ -39,6 +38,7 @@ from planish.run.answers import write_answer
 from planish.run.named_maps import (
     OCTAVES,
     NamedMap,
+    NamedMaps,
     choices,
     is_declared,
     maps_of,
@@ -227,7 +227,7 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
     for name, fact in octaves.maps.items():
         sources = [named(maps, other) for other in (name, *references)]
         trust = trust_of_maps(run, sources)
-        update: dict[str, Any] = {"trust": trust}
+        update: Entries = {"trust": trust}
         if trust == "withheld":
             reason = "A check of the run failed, and withholds it."
             update |= {"reason": reason, "formation": None}
@@ -246,9 +246,7 @@ class Reading:
     halves: Sequence[HalfDifferences]
 
 
-def _scales(
-    params: ScalesParams, maps: Mapping[str, NamedMap], all_names: Sequence[str], read: Read
-) -> Scales:
+def _scales(params: ScalesParams, maps: NamedMaps, all_names: Sequence[str], read: Read) -> Scales:
     """Octaves of the chosen maps, and of each with the map that is named ``against``.
 
     InputError where a map holds angles of an axis.
@@ -281,7 +279,7 @@ def _scales(
     return octaves.model_copy(update=of_other)
 
 
-def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> dict[str, Any]:
+def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> Entries:
     """The formation number of the first map, or the reason why there is none."""
     values, difference = reading.maps[0].values, None
     for half in reading.halves:
@@ -363,7 +361,7 @@ def _halves_of(columns: SheetColumns, names: Mapping[int, str]) -> HalfDifferenc
     return HalfDifferences(of_maps=of_maps, pixel_um=pitch(columns.measured), of_rows=True)
 
 
-def _shown_maps(run: Run, maps: Mapping[str, NamedMap]) -> list[str]:
+def _shown_maps(run: Run, maps: NamedMaps) -> list[str]:
     """All maps of a run but angles, the pose in the scanner, and those under two names.
 
     Those that lead are the first.

@@ -1,9 +1,7 @@
 """Register two layers by marks that are given, or by the holes of both."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,6 +9,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.frame import Frame
 from planish.core.grid import values_at
+from planish.core.typing import Entries
 from planish.marks.exchange import (
     FORMATS,
     LayerPixels,
@@ -23,7 +22,7 @@ from planish.marks.exchange import (
 from planish.marks.exchange.model import paired, points_of, tiles_of, with_holes
 from planish.register import FittedTransform, RegistrationParams, fit_pairs
 from planish.run.holes import HoleSearch
-from planish.run.layers import MappedLayer
+from planish.run.layers import Groups, MappedLayer
 from planish.run.registration import Registration, register_holes, with_residuals
 from planish.run.study import Study
 
@@ -52,7 +51,7 @@ def register_by_marks(
             hole_marks = hole_marks.assign(label=("mark", np.array(labels, dtype=np.str_)))
             marks = with_holes(marks, hole_marks, side, usual_um=usual_um)
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
-    search = dict[str, Any]()
+    search = Entries()
     is_tile = tiles_of(marks)[paired(marks)]
     if is_tile.any():  # tiles of a run: what was said of them holds still, where the file has it
         saved = marks.attrs.get("registration", {})
@@ -139,7 +138,7 @@ def _shift_sentence(marks: xr.Dataset, name: str) -> str | None:
     )
 
 
-def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]) -> xr.Dataset:
+def volume_to_map(marks: xr.Dataset, name: str, groups: Groups) -> xr.Dataset:
     """Marks on the flat map of a layer, those too that were set in its volume.
 
     Without ``groups`` it is an image.

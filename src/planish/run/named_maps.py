@@ -35,9 +35,13 @@ class NamedMap:
     group: xr.Dataset
 
 
-def maps_of(run: Run) -> dict[str, NamedMap]:
+NamedMaps = dict[str, NamedMap]
+"""Maps by their names, as choices list them."""
+
+
+def maps_of(run: Run) -> NamedMaps:
     """All maps of a run by name; by LAYER.MAP, and by MAP where one layer has it."""
-    maps: dict[str, NamedMap] = {}
+    maps: NamedMaps = {}
     for layer, group in run.layers.items():
         for name, values in group.items():
             maps[f"{layer}.{name}"] = NamedMap(values=values, layer=layer, group=group)
@@ -53,7 +57,7 @@ def maps_of(run: Run) -> dict[str, NamedMap]:
     return maps
 
 
-def maps_of_dataset(data: xr.Dataset, verb: str) -> dict[str, NamedMap]:
+def maps_of_dataset(data: xr.Dataset, verb: str) -> NamedMaps:
     """All maps of a Dataset on one grid, by name; errors call ``pl.VERB``."""
     data = _on_known_axes(data)
     check_dataset(
@@ -67,7 +71,7 @@ def maps_of_dataset(data: xr.Dataset, verb: str) -> dict[str, NamedMap]:
     return {str(name): NamedMap(values=m, layer="", group=data) for name, m in data.items()}
 
 
-def named(maps: Mapping[str, NamedMap], name: str) -> NamedMap:
+def named(maps: NamedMaps, name: str) -> NamedMap:
     """The map of a name; InputError where there is none."""
     if name in maps:
         return maps[name]
@@ -103,7 +107,7 @@ def with_answer(run: Run, groups: Mapping[str, xr.Dataset] | None = None, **answ
     return replace(run, results=results, groups={**run.groups, **groups})
 
 
-def choices(maps: Mapping[str, NamedMap]) -> list[str]:
+def choices(maps: NamedMaps) -> list[str]:
     """Names of the maps that can be asked for."""
     return [key for key in maps if not _NO_PROPERTY.match(bare_name(key))]
 

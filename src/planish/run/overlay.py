@@ -30,7 +30,7 @@ from planish.register import Chain
 from planish.resample import SheetOnto, image_attrs, resample_image
 from planish.resample import resample_maps as flat_maps
 from planish.run.compute import Progress
-from planish.run.layers import Link, LinkedLayer, MappedLayer, Shown
+from planish.run.layers import Datasets, Link, LinkedLayer, MappedLayer, Shown
 from planish.run.position_error import PositionErrors, add_place_errors
 from planish.run.regions import regions_on
 from planish.run.registration import Registration
@@ -148,7 +148,7 @@ class Overlay:
         return self.reference.layer.grid
 
     @property
-    def maps(self) -> dict[str, xr.Dataset]:
+    def maps(self) -> Datasets:
         """The maps of each layer."""
         return {linked.name: linked.maps for linked in self.layers}
 
@@ -237,7 +237,7 @@ def resample_layers(
     sink: StoredMaps,
     *,
     joint_group: str | None = None,
-) -> dict[str, xr.Dataset]:
+) -> Datasets:
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
 
     Put into ``sink`` are all maps of each sheet, or ``image``, ``valid``, and ``expected_error`` of
@@ -251,9 +251,9 @@ def resample_layers(
     absent = [name for name, (_, chain) in layer_sources.items() if chain is not None]
     valid_attrs = {"long_name": mask.sentence}
 
-    def bring(tile: Tile) -> dict[str, xr.Dataset]:
+    def bring(tile: Tile) -> Datasets:
         is_allowed = mask(grid.part(tile.rows, tile.cols))
-        maps = dict[str, xr.Dataset]()
+        maps = Datasets()
         for name, read_tile in tile_readers.items():
             data = read_tile(tile)
             measured = data["thickness" if "thickness" in data else "image"].values
@@ -282,7 +282,7 @@ def resample_layers(
     return split_linked(sink.group(joint_group), sheet_name, image_name)
 
 
-def split_linked(linked: xr.Dataset, sheet: str, image: str) -> dict[str, xr.Dataset]:
+def split_linked(linked: xr.Dataset, sheet: str, image: str) -> Datasets:
     """Linked maps as those of the sheet and of the image, by what these are called."""
     return {sheet: linked.drop_vars("image"), image: linked[["image", "valid"]]}
 

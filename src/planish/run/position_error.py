@@ -13,8 +13,6 @@ quick errors, of which the alignment sees most, and a slow wander that it leaves
 looks like the sheet's own.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 import xarray as xr
 
@@ -26,6 +24,7 @@ from planish.flatten import flat_moves
 from planish.register import Chain
 from planish.resample import Lattice, covering_grid, find_places, resample
 from planish.results import ErrorShares
+from planish.run.layers import Groups
 
 # Root mean square over stiffness ratios coating/base drawn evenly from 0 to 3 of the neutral
 # surface's distance from the one that was flattened, in distances of the two: e(r) = r sum(t z) /
@@ -69,10 +68,10 @@ class PositionErrors:
 
     def __init__(
         self,
-        sheet: Mapping[str, xr.Dataset] | None,
+        sheet: Groups | None,
         chain: Chain,
         grid: Grid,
-        reference: Mapping[str, xr.Dataset] | None = None,
+        reference: Groups | None = None,
         *,
         is_scan: bool = False,
     ) -> None:
@@ -186,7 +185,7 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
     )
 
 
-def _sections_um2(groups: Mapping[str, xr.Dataset], *, marks: int) -> float:
+def _sections_um2(groups: Groups, *, marks: int) -> float:
     """Mean square of what is left of the sections' shifts in the plane of the sheet, in um**2.
 
     The wander is a random walk with a step q a section. Marks hold it at the square root of their
@@ -211,7 +210,7 @@ def _sections_um2(groups: Mapping[str, xr.Dataset], *, marks: int) -> float:
     return square_um2
 
 
-def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, uv: Floats) -> dict[str, Floats]:
+def _moved(sheet: Groups, chain: Chain, uv: Floats) -> dict[str, Floats]:
     """Give what other surfaces move at places (rows, cols, 2) of the sheet, in um of the reference.
 
     They are registered to the same marks.

@@ -17,7 +17,7 @@ from planish.register import need_holes
 from planish.run.compute import Progress
 from planish.run.facts import input_file
 from planish.run.holes import HoleSearch
-from planish.run.layers import MappedLayer
+from planish.run.layers import Layers, MappedLayer
 from planish.run.marks_registration import read_given
 from planish.run.regions import regions_on
 from planish.run.run import open_sheet
@@ -30,7 +30,7 @@ class Inputs(NamedTuple):
     Regions are in um of the reference where this is one of the layers, otherwise as they were read.
     """
 
-    layers: dict[str, MappedLayer]
+    layers: Layers
     regions: Regions | None
     holes: HoleSearch
 
@@ -40,7 +40,7 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> In
 
     ``regions`` are laid on a reference that is one of them.
     """
-    layers = dict[str, MappedLayer]()
+    layers = Layers()
     for params in study.layers:
         if params.kind == "volume":
             continue

@@ -18,7 +18,7 @@ from planish.core.older_names import todays_study
 from planish.io.map_groups import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
-from planish.run.layers import MappedLayer
+from planish.run.layers import Datasets, Groups, Layers, MappedLayer
 from planish.run.regions import REGIONS
 from planish.run.registration import Registration
 from planish.run.study import RUN_TOML, Study, read_study
@@ -41,11 +41,11 @@ class Run:
     #: ``slices``, and ``sections`` of serial sections. Of a sheet linked to an image also
     #: ``linked`` (y, x of the image), and ``refined``. Of other links ``layers/NAME`` on the pixels
     #: of the reference.
-    groups: Mapping[str, xr.Dataset]
+    groups: Groups
     #: by the moving layer.
     registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
     #: Sheets that were mapped on the way to a link of other layers than one sheet and one image.
-    sheets: dict[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
+    sheets: Layers = field(default_factory=Layers)
     regions: Regions | None = None  #: declared artefacts, in um of the reference of a link
     #: Groups that stand in the store of another run with the same bytes, and that store.
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
@@ -62,7 +62,7 @@ class Run:
         return self._group("linked")
 
     @cached_property
-    def layers(self) -> dict[str, xr.Dataset]:
+    def layers(self) -> Datasets:
         """Layers of a link on the pixels of the reference, by name."""
         inside = "layers/"
         return {k.removeprefix(inside): v for k, v in self.groups.items() if k.startswith(inside)}

@@ -1,9 +1,6 @@
 """Write the files of a run into its folder."""
 
-from collections.abc import Mapping
 from pathlib import Path
-
-import xarray as xr
 
 from planish import __version__
 from planish.core.area import overviews
@@ -15,6 +12,7 @@ from planish.marks.regions import geojson_text
 from planish.report import FIGURES, write_report
 from planish.run.facts import figures_text
 from planish.run.judging import judge_sheet
+from planish.run.layers import Datasets, Groups
 from planish.run.overlay import LINKED
 from planish.run.regions import REGIONS
 from planish.run.run import MAPS, Run, is_run, marks_file
@@ -71,9 +69,9 @@ def save_run(
     write_tree(folder / MAPS, {name: groups[name] for name in new_names})
 
 
-def _missing_overviews(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+def _missing_overviews(groups: Groups) -> Datasets:
     """Smaller copies of the maps that have none."""
-    copies: dict[str, xr.Dataset] = {}
+    copies: Datasets = {}
     for name, data in groups.items():
         has_maps = name in ("maps", LINKED, "refined") or name.startswith("layers/")
         if has_maps and f"{OVERVIEWS}/{name}/1" not in groups:

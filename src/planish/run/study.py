@@ -272,7 +272,7 @@ def as_study(data: Entries) -> Study:
     data = dict(data)
     registration: Any = data.get("registration")
     if isinstance(registration, dict) and "hole_um" in registration:  # as planish 0.1.0 wrote it
-        data["registration"] = registration = dict[str, Any](registration)
+        data["registration"] = registration = Entries(registration)
         data["holes"] = {"hole_um": registration.pop("hole_um")}
     if "layers" not in data:  # the short form of one volume
         sheet = {k: data.pop(k) for k in ("volume", *MAP_SECTIONS) if k in data}

@@ -13,6 +13,7 @@ from pydantic.fields import FieldInfo
 from planish.core.annotations import kinds_of, models_in, words_in
 from planish.core.errors import StudyError
 from planish.core.options import Params, Shown, options_of, unit_of
+from planish.core.typing import Entries, Texts
 from planish.io.info import describe
 from planish.run.run import is_run
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path
@@ -174,7 +175,7 @@ def _input(
 _SIZES = ("voxel_um", "pixel_um")
 
 
-def _stated(key: str, facts: dict[str, Any]) -> tuple[str | None, str | None]:
+def _stated(key: str, facts: Entries) -> tuple[str | None, str | None]:
     """Line of an option that a file states, or why it has to be filled in; None for others."""
     if key in _SIZES:
         if not facts["size_um"]:
@@ -188,7 +189,7 @@ def _stated(key: str, facts: dict[str, Any]) -> tuple[str | None, str | None]:
     return None, None
 
 
-def _description(facts: dict[str, Any], section: str) -> list[str]:
+def _description(facts: Entries, section: str) -> list[str]:
     """What the file of an input holds, in sentences."""
     elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
     format_name = facts.get("format") or facts["kind"]
@@ -234,7 +235,7 @@ def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]
         if len(kinds) == 1:
             value = _value(default)
     notes = [unit_of(key)]
-    if kinds == [tuple[str, ...]]:
+    if kinds == [Texts]:
         notes = ["names in quotes, with commas between them"]
     choices = [_value(word) for word in words if word != str(default)]
     if choices and float in kinds:

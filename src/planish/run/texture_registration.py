@@ -30,6 +30,7 @@ from planish.run.study import Study
 
 _LEAST_TILES = 4
 _NO_PAIRS = np.empty((0, 2), dtype=np.intp)
+HolePair = tuple[xr.Dataset, xr.Dataset]  # laser holes of the moving and the fixed layer
 
 
 def register_texture(
@@ -38,7 +39,7 @@ def register_texture(
     *,
     params: RegistrationParams | None = None,
     mirrored: bool | None = False,
-    holes: tuple[xr.Dataset, xr.Dataset] | None = None,
+    holes: HolePair | None = None,
     place: Similarity | None = None,
 ) -> Registration:
     """Find a sheet in an image by the texture that both show, and fit the transformation.
@@ -172,7 +173,7 @@ def _fitted(
     layers: PlanePair,
     tiles: TilePlaces,
     params: RegistrationParams,
-    holes: tuple[xr.Dataset, xr.Dataset] | None = None,
+    holes: HolePair | None = None,
     pairs: Ints = _NO_PAIRS,
 ) -> Registration:
     """Fit the transformation to tiles and to holes of the moving and the fixed layer.
@@ -210,7 +211,7 @@ def _with_tiles(
     moving: xr.Dataset | xr.DataArray,
     fixed: xr.Dataset | xr.DataArray,
     params: RegistrationParams,
-    holes: tuple[xr.Dataset, xr.Dataset],
+    holes: HolePair,
     side: Side,
 ) -> Registration:
     """Fit holes and tiles in one, and say how far apart both lie.

@@ -16,7 +16,7 @@ from planish.marks.regions import Regions
 from planish.run.cached_maps import CachedMaps, next_step, sheets_of
 from planish.run.compute import Compute, Progress, return_memory, run_key
 from planish.run.judging import judge_sheet
-from planish.run.layers import MappedLayer
+from planish.run.layers import Layers, MappedLayer
 from planish.run.packages import check_packages, with_packages
 from planish.run.preflight import check_request
 from planish.run.run import MAPS, Run
@@ -37,9 +37,9 @@ class Workspace:
     folder: Path | None = None  # hidden, beside ``out``, until the run is whole
     store: StoredMaps = field(default_factory=StoredMaps)  # of linked maps
     # Sheets that are mapped: before, and of this run as they come.
-    sheets: dict[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
+    sheets: Layers = field(default_factory=Layers)
     # Of an old run: the same surface with other properties, flattening or corrections.
-    similar_sheets: Mapping[str, MappedLayer] = field(default_factory=dict[str, MappedLayer])
+    similar_sheets: Mapping[str, MappedLayer] = field(default_factory=Layers)
     caches: Mapping[str, CachedMaps] = field(default_factory=dict[str, CachedMaps])
 
     def map_layers(self, layers: Mapping[str, MappedLayer]) -> list[MappedLayer]:
@@ -135,7 +135,7 @@ def open_workspace(
             caches = CachedMaps.of_link(study, hashes, out, compute)
             cached = {name: cache.read() for name, cache in caches.items()}
             sheets = {name: sheet for name, sheet in cached.items() if sheet is not None}
-            similar_sheets: dict[str, MappedLayer] = {}
+            similar_sheets: Layers = {}
             if old is not None:
                 ready_sheets, similar_sheets = sheets_of(old, study, hashes)
                 sheets |= ready_sheets

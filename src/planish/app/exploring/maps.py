@@ -19,7 +19,7 @@ from planish.core.checks import POSITION, concerned, trust_of
 from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
-from planish.core.typing import Array, Entries, Floats, Pair, Texts
+from planish.core.typing import Array, Entries, Floats, Pair, Singles, Texts
 from planish.exports.run_contents import IMAGE
 from planish.io.map_groups import read_group
 from planish.io.map_store import overviews_of
@@ -180,7 +180,7 @@ class MapsOfPage:
     groups: tuple[Group, ...]
     grid: Grid
     halvings: int
-    headline: NDArray[np.float32]
+    headline: Singles
 
     def letters(self) -> int:
         """Size of all that is packed."""
@@ -190,6 +190,9 @@ class MapsOfPage:
             if group.valid is not None:
                 grids.append(group.valid)
         return sum(len(grid.text) for grid in grids)
+
+
+MapNames = list[tuple[str, list[str]]]  # groups of a run, and their maps
 
 
 def maps_of(run: Run) -> MapsOfPage:
@@ -222,11 +225,11 @@ def _group_names(run: Run) -> list[str]:
     return names
 
 
-def _map_names(run: Run) -> list[tuple[str, list[str]]]:
+def _map_names(run: Run) -> MapNames:
     """Groups and the names of their maps: each headline first, then what it is compared with."""
     layers = run.results.layers
     properties = [name for layer in layers if layer.sheet for name in layer.sheet.properties]
-    map_names: list[tuple[str, list[str]]] = []
+    map_names: MapNames = []
     for group in _group_names(run):
         of_all = group in ("linked", "maps")
         headlines = [x.headline for x in layers if of_all or group == f"layers/{x.name}"]
@@ -245,7 +248,7 @@ def _is_shown(data: xr.DataArray) -> bool:
     return data.ndim == 2 and data.dtype.kind == "f" and not _HIDDEN.match(str(data.name))
 
 
-def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+def _packed_maps(run: Run, map_names: MapNames, halvings: int) -> MapsOfPage:
     """Pack the maps of all groups, those that lead first."""
     results = run.results
     maps: list[PageMap] = []
