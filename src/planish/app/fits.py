@@ -212,7 +212,7 @@ def fitted(
     if mirrored is None:
         with suppress(PlanishError):
             is_mirrored = _least_squares(*used, "similarity", None).mirrored
-    is_outlier = np.zeros(len(pairs), dtype=np.bool_)
+    is_outlier = np.zeros_like(is_used)
     is_outlier[is_used] = find_outliers(*used, is_mirrored, tolerance_um=params.tolerance_um)
     nans = np.full(len(pairs), np.nan)
     coincident = _coincidence_warnings(pairs, where)
@@ -226,7 +226,7 @@ def fitted(
         fit=None,
         pairs=pairs,
         is_outlier=is_outlier,
-        is_rejected=np.zeros(len(pairs), dtype=np.bool_),
+        is_rejected=np.zeros_like(is_used),
         residual_um=nans,
         leave_one_out_um=nans,
         warnings=tuple(warnings),
@@ -258,7 +258,7 @@ def fitted(
         with suppress(PlanishError):  # too few are left for this model
             fit_to_others = _least_squares(moving, fixed, fitted_model, mirrored, weights=weights)
             leave_one_out_um = fit_to_others.leave_one_out_um
-    is_rejected = np.zeros(len(pairs), dtype=np.bool_)
+    is_rejected = np.zeros_like(is_used)
     is_rejected[is_used] = fit.robust_weights == 0
     warnings += _disagreements(pairs, is_rejected, is_outlier, residual_um, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
