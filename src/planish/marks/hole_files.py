@@ -36,11 +36,11 @@ class _File(Part):
 
 
 _COLUMN_TYPES: Entries = {
-    "float64": list[Annotated[float | None, Field(allow_inf_nan=False, strict=True)]],
-    "int64": list[Annotated[int, Field(ge=-(2**63), lt=2**63, strict=True)]],
-    "uint8": list[Annotated[int, Field(ge=0, le=255, strict=True)]],
-    "bool": list[Annotated[bool, Field(strict=True)]],
-    "str": list[Annotated[str, Field(strict=True)]],
+    "float64": list[Annotated[float | None, Field(allow_inf_nan=False)]],
+    "int64": list[Annotated[int, Field(ge=-(2**63), lt=2**63)]],
+    "uint8": list[Annotated[int, Field(ge=0, le=255)]],
+    "bool": list[bool],
+    "str": list[str],
 }
 
 
@@ -117,7 +117,7 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
     for key, variable in file.variables.items():
         column_type = TypeAdapter(_COLUMN_TYPES[variable.type])
         with naming_faults(name, _REMEDY, error=MarkError, key_prefix=("variables", key, "values")):
-            checked_values = column_type.validate_python(variable.values)
+            checked_values = column_type.validate_python(variable.values, strict=True)
         column = np.array(_missing_as_nan(checked_values), dtype=variable.type)
         variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     counts = sorted({len(variable.values) for variable in file.variables.values()})

@@ -242,14 +242,12 @@ def _other_side(
     if is_through.any():
         moves = centres_of(partners)[partner_rows[is_through]] - centres[is_through]
         offset = np.median(moves, axis=0)
-    row_um, col_um = pixel_um
-    rows_um = np.arange(material.shape[0]) * row_um
-    cols_um = np.arange(material.shape[1]) * col_um
+    grid = Grid.regular(material.shape, pixel_um)
     for k in np.flatnonzero(~is_through).tolist():
         radius_um = 0.25 * float(holes["diameter"].values[k])
         x, y = centres[k] + offset
-        dy = rows_um - y
-        dx = cols_um - x
+        dy = grid.y_um - y
+        dx = grid.x_um - x
         rows = np.flatnonzero(np.abs(dy) <= radius_um)
         cols = np.flatnonzero(np.abs(dx) <= radius_um)
         distances = np.hypot(dy[rows][:, None], dx[cols])

@@ -213,17 +213,11 @@ def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
                 f"Mark {subject} does not agree with the others ({off_text}) and was left out."
                 " Check it."
             )
-    if repeated_rows.size:
-        if repeated_rows.size > 1:
-            yield (
-                f"Pairs {listed(repeated_rows + 1)} (counted from 1) repeat others exactly and"
-                " count once."
-            )
-        else:
-            yield (
-                f"Pair {listed(repeated_rows + 1)} (counted from 1) repeats another one exactly and"
-                " counts once."
-            )
+    subject = f"{listed(repeated_rows + 1)} (counted from 1)"
+    if repeated_rows.size > 1:
+        yield f"Pairs {subject} repeat others exactly and count once."
+    elif repeated_rows.size:
+        yield f"Pair {subject} repeats another one exactly and counts once."
     count = int(np.count_nonzero(fit.weights > 0))
     if count < 6:
         yield (

@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
+from planish.core.grid import Grid
 from planish.core.transform import Affine, are_known, grid_points
 from planish.core.typing import Bools, Floats, Pair, Texts, pair_of
 from planish.register.bent import NOTABLE, determinants, range_of
@@ -124,8 +125,8 @@ class Refined:
         ndarray, shape (rows, cols)
             Cubic interpolation; NaN outside.
         """
-        rows, cols = (np.arange(n) * p for n, p in zip(image.shape, pixel_um, strict=True))
-        source_px = self(grid_points(cols, rows)) / np.array(pixel_um)[::-1]
+        grid = Grid.regular(image.shape, pixel_um)
+        source_px = self(grid_points(grid.x_um, grid.y_um)) / pixel_um[::-1]
         row_col = np.moveaxis(source_px[..., ::-1], -1, 0)
         is_known = np.isfinite(image)
         mean = float(image[is_known].mean()) if is_known.any() else 0.0

@@ -332,7 +332,6 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
         points=places.um,
         used=used,
         unit="um",
-        stated=True,
         placed=True,
         extras=places.extras,
         source=places.source,

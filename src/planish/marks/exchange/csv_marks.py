@@ -127,7 +127,6 @@ def _read_holes(content: Content) -> PointList:
         title=content.name,
         points=points,
         unit="um",
-        stated=True,
         placed=True,
         labels=labels_in(table),
         extras={"diameter": diameters},

@@ -24,6 +24,7 @@ from planish.marks.imagej_selections import ROI, ZIP
 
 MOST_MARKS = 100_000
 SELECTIONS = (ROI, ZIP)  # first bytes of a selection of ImageJ, or of an archive of them
+MATLAB = (b"MATLAB", b"\x89HDF\r\n\x1a\n")  # first bytes of a file of MATLAB 5 to 7.3
 
 
 class Part(BaseModel):
@@ -59,10 +60,9 @@ def read_content(path: str | Path) -> Content:
     place = Path(path)
     name = place.name
     data = read_bytes(place, what="file of marks")
-    if data.startswith(SELECTIONS):
-        return Content(name=name, data=data)
     # Version 4 of MATLAB has no heading that says what it is.
-    if data.startswith((b"MATLAB", b"\x89HDF\r\n\x1a\n")) or place.suffix.lower() == ".mat":
+    is_matlab = data.startswith(MATLAB) or place.suffix.lower() == ".mat"
+    if is_matlab or data.startswith(SELECTIONS):
         return Content(name=name, data=data)
     text = decode_text(data, name, what="file of marks")
     if not text.strip():
@@ -139,7 +139,7 @@ class PointList:
     title: str
     points: Floats
     unit: Unit | None
-    stated: bool
+    stated: bool = True
     columns: Sequence[str] = ()
     first_centre: float = 0.0
     labels: Sequence[str] = ()

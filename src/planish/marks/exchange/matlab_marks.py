@@ -50,7 +50,7 @@ def read(content: Content) -> list[PointList]:
     if not len(moving):
         raise MarkError(f"{name} holds no point. {_SAVE}")
     sides = {"moving": moving - 1.0, "fixed": fixed - 1.0}
-    return [PointList(title=k, points=v, unit="pixel", stated=True) for k, v in sides.items()]
+    return [PointList(title=k, points=v, unit="pixel") for k, v in sides.items()]
 
 
 def _matrices(content: Content) -> dict[str, Floats | None]:

@@ -59,7 +59,6 @@ def read(content: Content) -> list[PointList]:
             title=name,
             points=np.concatenate(points),
             unit="pixel",
-            stated=True,
             labels=labels if is_named else (),
             source="clicked",
         )

@@ -130,7 +130,6 @@ def _point_list(markup: Fields, k: int, name: str) -> PointList:
         title=title,
         points=np.array(points, dtype=np.float64) * _SIGNS[coordinate_system],
         unit=unit,
-        stated=True,
         labels=labels,
         used=used,
     )

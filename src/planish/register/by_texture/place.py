@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, optimize
 
+from planish.core.grid import Grid
 from planish.core.robust import rms_length
-from planish.core.transform import NearSimilarity, Similarity, nearest_similarity
+from planish.core.transform import NearSimilarity, Similarity, grid_points, nearest_similarity
 from planish.core.typing import Bools, Floats, Pair, Texts
 from planish.register.by_texture.rotations import Names, compared
 from planish.texture.detrend import PhaseSurrogate
@@ -234,8 +235,8 @@ def _on_moving_pixels(
     moving: Textures, fixed: Textures, name: str, place: Placing
 ) -> tuple[Floats, Bools]:
     """What a map of the fixed layer shows on the pixels of the moving one, and where both do."""
-    rows, cols = np.indices(moving.known.shape)
-    points = np.stack([cols, rows], axis=-1) * moving.pixel_um[::-1]
+    grid = Grid.regular(moving.known.shape, moving.pixel_um)
+    points = grid_points(grid.x_um, grid.y_um)
     values, is_known = _Sampled(fixed, name)(place(points))
     is_valid = moving.known & is_known
     return standard(np.where(is_valid, values, 0.0), is_valid), is_valid
