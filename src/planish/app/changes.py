@@ -14,6 +14,7 @@ from planish.core.errors import InputError
 from planish.core.tables import naming_faults
 from planish.core.text import printable
 from planish.core.typing import Entries
+from planish.marks.exchange.json_marks import Label, Source
 from planish.marks.exchange.lists import MOST_MARKS, Part
 from planish.marks.regions.model import LONGEST_TEXT
 from planish.register.params import ModelChoice
@@ -28,9 +29,7 @@ MOST_POINTS = 10_000
 Um = Annotated[float, Field(ge=-FARTHEST_UM, le=FARTHEST_UM)]
 Id = Annotated[str, Field(pattern=r"^[a-z][0-9]{1,9}(-[0-9]{1,6})?$")]
 Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
-Label = Annotated[str, Field(min_length=1, max_length=200)]
 Layer = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
-Source = Literal["detected", "clicked", "predicted", "imported", "tile"]
 
 
 class ChangeError(InputError):

@@ -9,13 +9,12 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import Grid, hole_mask
-from planish.core.typing import Bools, Floats, Ints, Pair, pair_of
+from planish.core.typing import Bools, Floats, Ints, Pair, Shape2D, Singles, pair_of
 
-Image = NDArray[np.float32]
+Image = Singles
 
 # Pixels across the smallest hole where candidates are searched.
 ACROSS_COARSE = 8.0
@@ -178,7 +177,7 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
     return local_spread(thinned, side_um, quantile)
 
 
-def _local_mean(raster: Raster, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
+def _local_mean(raster: Raster, width_um: float, steps: Shape2D = (1, 1)) -> Image:
     """Gaussian mean at every ``steps``-th row and column, from a coarse raster.
 
     The median where nothing is near.
@@ -212,7 +211,7 @@ def _local_mean(raster: Raster, width_um: float, steps: tuple[int, int] = (1, 1)
     return mean
 
 
-def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
+def _block_means(image: Image, factors: Shape2D) -> tuple[Image, Image]:
     """Give the means over whole blocks of pixels, and the share of each block that has data.
 
     A mean over nothing is 0.

@@ -110,7 +110,7 @@ def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
     floors = np.sort(disjoint[:, k.INSIDE])
     tolerance = LIKE_FLOORS[0] * float(np.median(depth(disjoint)))
     is_shared = floors[LEAST_OTHERS - 1 :] - floors[: 1 - LEAST_OTHERS] < tolerance
-    darkest = int(np.argmax(is_shared))
+    darkest = np.argmax(is_shared)
     level = floors[darkest + LEAST_OTHERS // 2] if is_shared.any() else np.nan
     return is_like & (np.abs(marks[:, k.INSIDE] - level) < tolerance)
 

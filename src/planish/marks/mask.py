@@ -13,7 +13,7 @@ from scipy import ndimage
 from planish.core.bands import read_bands, thinned
 from planish.core.grid import Grid, centres_of, hole_mask
 from planish.core.robust import otsu_borders
-from planish.core.typing import Array, Bools, Floats, Ints, Pair
+from planish.core.typing import Array, Bools, Floats, Ints, Pair, Singles
 from planish.marks.candidates import Raster, reduce_to
 
 
@@ -83,9 +83,7 @@ def _median(greys: Array) -> float:
     return float(np.nanmedian(greys)) if greys.size else np.nan
 
 
-def without_dots(
-    image: NDArray[np.floating], pixel_um: Pair, least_um: float
-) -> NDArray[np.float32]:
+def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -> Singles:
     """Make bright what is dark and too narrow for the smallest hole.
 
     Parameters

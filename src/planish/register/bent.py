@@ -246,7 +246,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     jacobians = transform.jacobian(points)
     areas = (-1.0 if mirrored else 1.0) * determinants(jacobians)
-    worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
+    worst = np.argmin(np.where(np.isfinite(areas), areas, -np.inf))
     if not areas[worst] > 0:
         if isinstance(transform, Affine):
             raise CannotRegister(
@@ -262,7 +262,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     stretches = np.linalg.svd(jacobians, compute_uv=False) / np.sqrt(mean) - 1.0
     if len(points) > 1:
         largest = np.abs(stretches).max(axis=1)
-        worst_place = points[int(np.argmax(largest))]
+        worst_place = points[np.argmax(largest)]
     return LocalStrain(
         area=range_of(areas / mean), stretch=range_of(stretches), at_um=pair_of(worst_place)
     )

@@ -381,7 +381,7 @@ def _groups(places: Floats, most: int) -> Ints:
     while 2 * len(parts) <= most:
         halves: list[Ints] = []
         for part in parts:
-            axis = int(np.argmax(np.ptp(places[part], axis=0)))
+            axis = np.argmax(np.ptp(places[part], axis=0))
             order = np.argsort(places[part, axis], kind="stable")
             halves += np.split(part[order], [part.size // 2])
         parts = halves

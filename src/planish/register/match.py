@@ -318,13 +318,13 @@ def _choose_hands(
     for i, j in product((False, True), repeat=2):
         log_chances[i, j] = first[i].log_chance + second[j].log_chance
     allowed = [(log_chances[i, j], i, j) for i, j in log_chances if mirror or i == j]
-    (best_chance, i, j), *others = sorted(allowed)
+    (best_chance, i, j), *rivals = sorted(allowed)
     if min(log_chances.values()) < min(best_chance, 2 * ACCEPTED) - 1.0:
         raise WrongHand(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it"
             f" is turned over: {_WRONG_SIDE}"
         )
-    is_ambiguous = any(log_chance < best_chance + _MARGIN for log_chance, *_ in others)
+    is_ambiguous = any(log_chance < best_chance + _MARGIN for log_chance, *_ in rivals)
     return (first[i], second[j]), is_ambiguous
 
 

@@ -194,7 +194,7 @@ def self_likeness(
     if not np.any(is_suspect):
         return None
     # The most complete one is the clearest to name.
-    worst = int(np.lexsort((-log_evidence, -n_met, ~is_suspect))[0])
+    worst, *_ = np.lexsort((-log_evidence, -n_met, ~is_suspect))
     return (
         f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern"
         f" is {_motion_text(symmetries, worst, points.mean())}"

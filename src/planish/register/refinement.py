@@ -235,7 +235,7 @@ def _assess(
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where((expected_um == 0) & (moved_um == 0), 0.0, moved_um / expected_um)
     faults: list[str] = []
-    worst_point = int(np.argmin(areas))
+    worst_point = np.argmin(areas)
     if not areas[worst_point] > 0:
         x, y = points[worst_point]
         faults.append(
@@ -248,7 +248,7 @@ def _assess(
             " the marks only."
         )
     elif ratios.max() > options.most:
-        worst_point = int(np.argmax(ratios))
+        worst_point = np.argmax(ratios)
         x, y = points[worst_point]
         faults.append(
             f"The refinement moves the map by {moved_um[worst_point]:.1f} um near ({x:.5g},"
@@ -382,8 +382,8 @@ def _prepare(
     first_um = (0.5 * (factor - 1) * col_um, 0.5 * (factor - 1) * row_um)
     maps: list[Floats] = []
     for values in (linked, image):
-        known = np.where(np.isfinite(values) & is_allowed, values, np.nan).astype(np.float64)
-        maps.append(area_mean(known, (factor, factor)) if factor > 1 else known)
+        shown = np.where(np.isfinite(values) & is_allowed, values, np.nan).astype(np.float64)
+        maps.append(area_mean(shown, (factor, factor)) if factor > 1 else shown)
     masks = [np.isfinite(m) for m in maps]
     count = int((masks[0] & masks[1]).sum())
     if count < 400:

@@ -147,10 +147,10 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
     covariance = np.linalg.inv(precision)
     evidences: list[float] = []
     for k in range(len(target)):
-        others = np.delete(np.arange(len(target)), k)
+        kept = np.delete(np.arange(len(target)), k)
         equations = np.delete(np.arange(2 * len(target)), [2 * k, 2 * k + 1])
         reduced_precision = np.linalg.inv(covariance[np.ix_(equations, equations)])
-        _, misfit = _solved(designs[:, others], target[others], reduced_precision)
+        _, misfit = _solved(designs[:, kept], target[kept], reduced_precision)
         evidences.append(float(misfit[one_index] - misfit.min()))
     return min(evidences)
 
@@ -254,7 +254,7 @@ def _toward_one(fine_scales: Floats, misfit: Floats, best: int, one_index: int) 
     for step in [1] * (best <= one_index) + [-1] * (best >= one_index):
         scales = fine_scales[best::step]
         excess = misfit[best::step] - misfit[best] - 1.0
-        crossing = int(np.argmax(excess > 0))
+        crossing = np.argmax(excess > 0)
         if not crossing:
             return np.inf
         bracket = slice(crossing - 1, crossing + 1)

@@ -31,6 +31,8 @@ VERSION = 1
 _PAGE = "docs/marks-files.md describes the format."
 _POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
 T = TypeVar("T")
+Label = Annotated[str, Field(min_length=1, max_length=200)]
+Source = Literal["detected", "clicked", "predicted", "imported", "tile"]
 
 
 class _Pair(Part, Generic[T]):
@@ -61,11 +63,11 @@ class _Place(Part):
     diameter_um: PositiveFloat | None = None
     axis_ratio: Annotated[float, Field(ge=1)] | None = None
     arc_coverage: Annotated[float, Field(ge=0, le=1)] | None = None
-    source: Literal["detected", "clicked", "predicted", "imported", "tile"]
+    source: Source
 
 
 class _Mark(Part):
-    label: Annotated[str, Field(min_length=1, max_length=200)]
+    label: Label
     used: bool = True
     at: dict[str, _Place]
     residual_um: Annotated[float, Field(ge=0)] | None = None

@@ -24,7 +24,7 @@ from scipy import fft, ndimage, special
 from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Floats, Ints, Pair, Shape, Singles
+from planish.core.typing import Floats, Ints, Pair, Shape, Shape2D, Singles
 from planish.texture.textures import Textures, tile_sums
 
 BAND_UM = (18.0, 150.0)
@@ -174,7 +174,7 @@ class _Peak(NamedTuple):
     turn: Similarity  # without its shift
     names: Names
     height: float  # sum of products over the root of the number of pairs
-    at: tuple[int, int]  # pixel of the image at which the middle of the map lies
+    at: Shape2D  # pixel of the image at which the middle of the map lies
     near: Near | None
     squares: float  # sum over all shifts, and how many there are
     shifts: int
@@ -264,8 +264,8 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
         chance_z = np.array([*map(z, unrelated)])
         probability = _exceeded(z(best), chance_z)
     candidates = [scanner.candidate(_finest(scanner, steps, best), z(best))]
-    others = (*best_of_cells[1:], *scanner.rivals(best))
-    for peak in sorted(others, key=z, reverse=True):
+    lower_peaks = (*best_of_cells[1:], *scanner.rivals(best))
+    for peak in sorted(lower_peaks, key=z, reverse=True):
         other = scanner.candidate(peak, z(peak))
         if not any(scanner.are_one(c, other) for c in candidates):
             candidates.append(other)
@@ -313,7 +313,7 @@ def _log_rates(x: Floats) -> Floats:
 class _Window(NamedTuple):
     """Part of an image, and where the map's middle may lie in it."""
 
-    first: tuple[int, int]  # row and column of the first middle
+    first: Shape2D  # row and column of the first middle
     size: Shape
     spectra: dict[str, NDArray[np.complex64]]  # of its maps, and of what is known of it
     shape: Shape
@@ -415,8 +415,8 @@ class _Scanner:
     def peaks(self, turn: Similarity, scales: Scales, near: Near | None) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, height, window, shifts in self._heights(turn, scales, near):
-            highest = int(np.argmax(np.abs(height)))
-            row, col = divmod(highest, height.shape[1])
+            highest = np.argmax(np.abs(height))
+            row, col = divmod(int(highest), height.shape[1])
             pixel = row + window.first[0], col + window.first[1]
             squares = float(np.vdot(height, height))
             yield _Peak(scaled, names, float(height[row, col]), pixel, near, squares, shifts)
@@ -444,7 +444,7 @@ class _Scanner:
         """The place of a peak that is so high."""
         return Candidate(names=peak.names, z=z, place=self.place(peak.turn, peak.at))
 
-    def place(self, turn: Similarity, pixel: tuple[int, int]) -> Similarity:
+    def place(self, turn: Similarity, pixel: Shape2D) -> Similarity:
         """Transformation that puts the middle of the map on a pixel of the image."""
         target_um = np.array(pixel[::-1]) * self._fixed_px
         return nearest_similarity(turn.matrix(), self.middle_um, target_um)
@@ -491,7 +491,7 @@ class _Scanner:
         cols, rows = np.ceil(2.0 * radius_px + 1.0).astype(int).tolist()
         return [self._spectra((row, col), (rows, cols))]
 
-    def _spectra(self, first: tuple[int, int], count: Shape) -> _Window:
+    def _spectra(self, first: Shape2D, count: Shape) -> _Window:
         """Spectra of the part of the image in which so many middles of the map lie."""
         margin = self._margin
         pixels: list[Ints] = []
@@ -509,7 +509,7 @@ class _Scanner:
             spectra[name] = np.asarray(fft.rfft2(part), dtype=np.complex64)
         return _Window(first, count, spectra, shape)
 
-    def _on_image(self, turn: Similarity) -> tuple[tuple[int, int], Callable[..., Slab]]:
+    def _on_image(self, turn: Similarity) -> tuple[Shape2D, Callable[..., Slab]]:
         """Half the size and the sampling of a map on pixels of the image, no larger than needed."""
         matrix = turn.matrix()
         corners_um = [*product((-0.5, 0.5), repeat=2)] * self._extent_um
@@ -545,7 +545,7 @@ class _Scanner:
         window: _Window,
         name: str,
         part: NDArray[np.complex64],
-        half: tuple[int, int],
+        half: Shape2D,
     ) -> Slab:
         """Sums of products by the pixel at which the middle of the part lies.
 
