@@ -322,7 +322,8 @@ def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
     """
     strains: list[Floats] = []
     for axis in (1, 0):
-        flat, space = (np.linalg.norm(np.diff(nodes, axis=axis), axis=-1) for nodes in (uv, points))
+        edges = np.diff(uv, axis=axis), np.diff(points, axis=axis)
+        flat, space = (np.linalg.norm(vectors, axis=-1) for vectors in edges)
         strains.append(flat / space - 1)
     return strains[0], strains[1]
 

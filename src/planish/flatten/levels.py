@@ -113,10 +113,11 @@ class Level:
 
 def of_springs(nodes: Array, pair: Callable[[Any, Any], Any], out: Array) -> Array:
     """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
+    a, b, c, d = corners_of(nodes)
     out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
     out[1, :-1] = pair(nodes[:-1], nodes[1:])
-    out[2, :-1, :-1] = pair(nodes[:-1, :-1], nodes[1:, 1:])
-    out[3, :-1, :-1] = pair(nodes[:-1, 1:], nodes[1:, :-1])
+    out[2, :-1, :-1] = pair(a, c)
+    out[3, :-1, :-1] = pair(b, d)
     return out
 
 

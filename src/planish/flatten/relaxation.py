@@ -148,7 +148,8 @@ def relax_dynamically(
     tied &= np.isfinite(rest) & np.isfinite(stiff)
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
     x = _framed(np.where(is_node, start.transpose(2, 0, 1), 0.0))
-    springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
+    lengths = _framed(np.where(tied, rest, 0.0))
+    springs = lengths, _framed(np.where(tied, stiff / unit, 0.0))
     mask = _framed(is_node.astype(np.float64))
     # a mesh that leaves the finite numbers is an outcome.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -287,6 +288,7 @@ def _runge_kutta(
 
 
 def _framed(values: Floats) -> Floats:
-    frame = np.zeros((*values.shape[:-2], *np.add(values.shape[-2:], 2)))
+    *families, rows, cols = values.shape
+    frame = np.zeros((*families, rows + 2, cols + 2))
     frame[..., 1:-1, 1:-1] = values
     return frame

@@ -272,13 +272,16 @@ def _flat_columns(
     rows, cols = mesh.rows, mesh.cols
     y, x = np.meshgrid(surfaces["y"].values, surfaces["x"].values, indexing="ij")
     # Bilinear between the nodes of the mesh, filled by the nearest node outside.
-    r = np.interp(np.arange(x.shape[0]), rows, np.arange(rows.size))[:, None]
-    c = np.interp(np.arange(x.shape[1]), cols, np.arange(cols.size))[None, :]
+    r, c = (
+        np.interp(np.arange(n), indices, np.arange(indices.size))
+        for n, indices in zip(x.shape, (rows, cols), strict=True)
+    )
     node_moves = np.moveaxis(relaxed.uv - mesh.points[..., :2], -1, 0)
-    u_moves, v_moves = (bilinear(filled(moves), r, c) for moves in node_moves)
+    u_moves, v_moves = (bilinear(filled(moves), r[:, None], c[None]) for moves in node_moves)
     is_valid = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
-        is_valid[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
+        cell_rows = slice(rows[i], rows[i + 1] + 1)
+        is_valid[cell_rows, cols[j] : cols[j + 1] + 1] = False
     projected_u, u = x, x + u_moves
     if frame.mirrored:
         mirror_um = float(x[0, -1] + x[0, 0])

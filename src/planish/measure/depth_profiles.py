@@ -44,7 +44,7 @@ def _layer_sums(
             share = _SHARES[name][0](rays, lower, upper).values
             is_valid = np.isfinite(share) & (rays.status == 0)
             share = np.where(is_valid, share, 0.0)
-            sums[:] = is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)
+            sums[:] = [values.sum(axis=1) for values in (is_valid, share, share**2)]
     return layer_sums
 
 

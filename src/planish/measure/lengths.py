@@ -374,9 +374,8 @@ def _above_form(sheet: Sheet, name: str, nesting_um: float) -> Measured:
     # Distances along vertical rays are longer than along normals by as much everywhere.
     oblique = f.oblique(f.slopes())
     faces = {face: place_um / oblique for face, place_um in f.faces.items()}
-    heights_um = above_form(
-        faces, f.heights["centre"], sheet.valid, f.pitch_um, names=(name,), nesting_um=nesting_um
-    )
+    places = (faces, f.heights["centre"], sheet.valid)
+    heights_um = above_form(*places, f.pitch_um, names=(name,), nesting_um=nesting_um)
     return Measured(values=heights_um[name] * oblique, se=thickness_se(sheet, name))
 
 

@@ -305,16 +305,12 @@ def grammage(sheet: Sheet) -> Measured:
     base_g_m2 = params.grammage_g_m2
     if "absorption" in _sources(params, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
-    layers = [
-        _in_grams(
-            maps[f"coating_absorption_{side}"],
-            sheet,
-            f"Grammage with a coating on the {side} side",
-            params.coat_weight(side),
-            "coating_g_cm3",
-        )
-        for side in filter(greys.coated, SIDES)
-    ]
+    layers: list[Measured] = []
+    for side in filter(greys.coated, SIDES):
+        layer = maps[f"coating_absorption_{side}"]
+        quantity_text = f"Grammage with a coating on the {side} side"
+        weighed_g_m2 = params.coat_weight(side)
+        layers.append(_in_grams(layer, sheet, quantity_text, weighed_g_m2, "coating_g_cm3"))
     if base_g_m2 is not None:
         coats_g_m2 = sum(sheet.mean(layer.values) for layer in layers)
         if not base_g_m2 > coats_g_m2:

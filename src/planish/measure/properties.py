@@ -170,7 +170,8 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
     _add_open_errors(measured, errors, common)
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
-        se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
+        is_measured = np.isfinite(measured[name].values)
+        se = np.where(is_measured, errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
             se_attrs = {"units": "um", "long_name": _se_name(PROPERTIES[name])}
             se_attrs |= {"common_um": common[name], "patch_um2": patch_um2}
@@ -207,7 +208,8 @@ def _errors_of_labels(measured: xr.Dataset) -> Errors:
     common = common_errors(through_um)
     # A face lies anywhere within a voxel: the difference of two has the variance of two uniform
     # distributions.
-    errors = {name: np.hypot(through_um / np.sqrt(6), se_um) for name, se_um in common.items()}
+    place_se_um = through_um / np.sqrt(6)
+    errors = {name: np.hypot(place_se_um, se_um) for name, se_um in common.items()}
     return errors, common, float(np.prod(pitch(measured)))
 
 

@@ -244,9 +244,9 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], Floats]:
     samples = rays.samples_within(*rays.core, more=1)
     level = np.float32(void_level(rays.greys, rays.params.of(phases.Options)))
     above_void_level = rays.greys.polarity * (rays.grey[..., samples] - level)
-    is_void = ((above_void_level < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
+    is_void = (above_void_level < 0) & rays.between(*rays.core)[..., samples]
     count = is_void.sum(axis=-1, dtype=np.float64)
-    return is_void, np.where(count > 0, count, np.nan)
+    return is_void.astype(np.uint8), np.where(count > 0, count, np.nan)
 
 
 def _limit(params: Options) -> float:

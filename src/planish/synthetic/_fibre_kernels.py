@@ -179,8 +179,9 @@ def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):  
                     overlap = min(b, low + (m + 1) * cell) - max(a, low + m * cell)
                     pressed_shares[m] += density * max(overlap, 0.0) / cell
             for m in range(pressed_shares.size):
-                if pressed_shares[m] > 0:
-                    out[i, j, m] = min(out[i, j, m] + int(FULL * pressed_shares[m] + 0.5), FULL)
+                pressed_share = pressed_shares[m]
+                if pressed_share > 0:
+                    out[i, j, m] = min(out[i, j, m] + int(FULL * pressed_share + 0.5), FULL)
 
 
 @njit(cache=True, nogil=True)

@@ -138,9 +138,9 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
             x = x + aligned["shift_col"] - aligned["rotation"] * dz
             z = z + aligned["shift_row"] + aligned["rotation"] * dx
             position = position + float(sections.attrs["first_position_um"])
+        true_poses = (poses.shift_x_um, poses.shift_z_um, poses.turn_rad, poses.y_um)
         shift_x, shift_z, turn, true_y = (
-            np.interp(position, poses.counter_um, values)
-            for values in (poses.shift_x_um, poses.shift_z_um, poses.turn_rad, poses.y_um)
+            np.interp(position, poses.counter_um, values) for values in true_poses
         )
         true_x = x + shift_x - turn * (z - middle[1])
         true_z = z + shift_z + turn * (x - middle[0])

@@ -101,9 +101,8 @@ def smooth(slab: Slab, taps: Singles, axes: Shape) -> Slab:
         shape[axis] -= 2 * reach
         smoothed = np.empty(shape, dtype=np.float32)
         # Plane by plane, so that a plane stays in the processor's cache.
-        for plane, out in zip(
-            np.moveaxis(slab, axis, 1), np.moveaxis(smoothed, axis, 1), strict=True
-        ):
+        planes, smoothed_planes = (np.moveaxis(a, axis, 1) for a in (slab, smoothed))
+        for plane, out in zip(planes, smoothed_planes, strict=True):
             shifted = [plane[k : k + len(out)] for k in range(2 * reach + 1)]
             np.multiply(shifted[reach], taps[0], out=out)
             for k in range(1, reach + 1):

@@ -81,7 +81,8 @@ def make_specimen(
     field_uv = np.concatenate([uv.min(axis=(0, 1)), uv.max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
     height_um, width_um = np.multiply(image_shape, params.camera.pixel_um)
-    corners = pose.inverse(grid_points(np.array([0.0, width_um]), np.array([0.0, height_um])))
+    frame_um = grid_points(np.array([0.0, width_um]), np.array([0.0, height_um]))
+    corners = pose.inverse(frame_um)
     low = np.minimum(field_uv[:2], corners.min(axis=(0, 1))) - _BEYOND_UM
     high = np.maximum(field_uv[2:], corners.max(axis=(0, 1))) + _BEYOND_UM
     if sheet is None:
@@ -123,8 +124,9 @@ def _check_film(params: SpecimenParams, sheet: DrawnSheet | None) -> None:
 
 def _sheet_of(params: SpecimenParams, uv: Floats, low: Floats, high: Floats) -> DrawnSheet:
     """Draw the sheet from ``low`` to ``high``; its holes lie in all that the volume shows, uv."""
-    inner_low = np.array([uv[:, 0, 0].max(), uv[0, :, 1].max()])
-    inner_high = np.array([uv[:, -1, 0].min(), uv[-1, :, 1].min()])
+    u, v = np.moveaxis(uv, -1, 0)
+    inner_low = np.array([u[:, 0].max(), v[0].max()])
+    inner_high = np.array([u[:, -1].min(), v[-1].min()])
     return make_sheet(
         params.paper,
         params.holes,

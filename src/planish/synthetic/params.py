@@ -16,6 +16,7 @@ from zlib import crc32
 
 import numpy as np
 
+from planish.core.robust import running_sums
 from planish.core.typing import Array, Entries, Floats, Pair
 
 
@@ -173,9 +174,9 @@ def _packed(warp: Warp) -> tuple[Floats, Floats]:
     # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
     p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
     turn = turn_at(p)
-    means = np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
-    places = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * _STEP_UM * means, axis=0)])
-    places -= places[count // 2]
+    steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W])
+    places = running_sums(steps).T
+    places = places - places[count // 2]
     turn = turn_at(p0 + _STEP_UM * np.arange(count))
     curve = np.column_stack([places, np.cos(turn), np.sin(turn)])
     parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM]

@@ -60,7 +60,7 @@ def fibres(
     (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
     margin = 0.5 * longest / PITCH_UM
-    starts = rng.uniform(-margin, [shape[1] + margin, shape[0] + margin], (count, 2))
+    starts = rng.uniform(-margin, np.add(shape[::-1], margin), (count, 2))
     angles = drawn_angles(anisotropy, count, rng)
     lengths = rng.uniform(shortest, longest, count) / PITCH_UM
     widths = rng.uniform(narrowest, widest, count) / PITCH_UM
@@ -93,8 +93,8 @@ def _filtered(field: Floats, sigma_um: float) -> Floats:
     shape = _padded(field.shape)
     beyond = [(0, n - rows) for n, rows in zip(shape, field.shape, strict=True)]
     spectrum = fft.rfft2(np.pad(field, beyond, mode="wrap"))
-    fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)
-    fx = np.exp(-2 * (np.pi * sigma_um * fft.rfftfreq(shape[1], PITCH_UM)) ** 2)
+    frequencies = fft.fftfreq(shape[0], PITCH_UM), fft.rfftfreq(shape[1], PITCH_UM)
+    fy, fx = (np.exp(-2 * (np.pi * sigma_um * frequency) ** 2) for frequency in frequencies)
     filtered = fft.irfft2(spectrum * fy[:, None] * fx, shape)
     return filtered[: field.shape[0], : field.shape[1]]
 

@@ -83,7 +83,8 @@ class Specimen:
     def microtome(self) -> Microtome:
         """The microtome that cuts the specimen up."""
         pixel = self.params.sections.pixel_um
-        shape = (int(np.ceil(self.extent_um[2] / pixel)) + 1, round(self.extent_um[0] / pixel))
+        width_um, _, depth_um = self.extent_um
+        shape = (int(np.ceil(depth_um / pixel)) + 1, round(width_um / pixel))
         return Microtome(
             sheet=self.sheet,
             warp=self.warp,
@@ -190,10 +191,8 @@ class Specimen:
     @cached_property
     def columns(self) -> xr.Dataset:
         """The centre surface's ``u, v, centre`` (um) at each column (y, x) of the volume."""
-        y, x = (
-            np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um
-            for n in self.scanner.shape[1:]
-        )
+        voxel_um = self.params.scanner.voxel_um
+        y, x = (np.arange(n, dtype=np.float64) * voxel_um for n in self.scanner.shape[1:])
         u, v, centre = np.moveaxis(self.warp.columns(y, x), -1, 0)
         return _maps_um({"u": u, "v": v, "centre": centre}, y, x)
 
