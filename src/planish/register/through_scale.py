@@ -147,10 +147,10 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
     covariance = np.linalg.inv(precision)
     evidences: list[float] = []
     for k in range(len(target)):
-        kept = np.delete(np.arange(len(target)), k)
+        mark_rows = np.delete(np.arange(len(target)), k)
         equations = np.delete(np.arange(2 * len(target)), [2 * k, 2 * k + 1])
         reduced_precision = np.linalg.inv(covariance[np.ix_(equations, equations)])
-        _, misfit = _solved(designs[:, kept], target[kept], reduced_precision)
+        _, misfit = _solved(designs[:, mark_rows], target[mark_rows], reduced_precision)
         evidences.append(float(misfit[one_index] - misfit.min()))
     return min(evidences)
 
