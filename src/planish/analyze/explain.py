@@ -320,12 +320,12 @@ def _refuse_sums(cells: _Cells) -> None:
 
 def _parts_of(values: Floats, index: int) -> Ints:
     """Numbers of the predictors that a column of standardised cells is a sum of; none mostly."""
-    others = np.arange(1, values.shape[1])
-    others = others[others != index]
-    weights = np.linalg.lstsq(values[:, others], values[:, index], rcond=None)[0]
-    residual = values[:, index] - values[:, others] @ weights
+    numbers = np.arange(1, values.shape[1])
+    predictors = numbers[numbers != index]
+    weights = np.linalg.lstsq(values[:, predictors], values[:, index], rcond=None)[0]
+    residual = values[:, index] - values[:, predictors] @ weights
     is_sum = residual @ residual * _IS_SUM <= residual.size
-    return others[is_sum & (np.abs(weights) > 1e-3)]
+    return predictors[is_sum & (np.abs(weights) > 1e-3)]
 
 
 def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
@@ -481,6 +481,6 @@ def _dataset(cells: _Cells, model: Regression, grid: Grid) -> xr.Dataset:
     places = points_of(grid, is_valid.shape, cells.cell_um)
     dataset = xr.Dataset(coords={"cell_y": places.y_um, "cell_x": places.x_um})
     for column, m in zip(columns, values, strict=True):
-        known = np.where(is_valid, m, np.nan)
-        dataset[column.name] = (("cell_y", "cell_x"), known, {"units": column.units})
+        of_cells = np.where(is_valid, m, np.nan)
+        dataset[column.name] = (("cell_y", "cell_x"), of_cells, {"units": column.units})
     return dataset

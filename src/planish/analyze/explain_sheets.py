@@ -46,14 +46,16 @@ def explained_over_sheets(
     coefficients = _pooled_coefficients(of_models, sheet_of_model)
     lead = _lead_over_sheets(coefficients, of_models, sheet_of_model)
     declared = {model.declared for model in of_models}
+    n = sum(model.n for model in of_models)
+    n_eff = sum(model.n_eff for model in of_models)
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
     return ExplainedSeries(
         **{name: getattr(first, name) for name in model_fields},
         declared=first.declared if len(declared) == 1 else False,
         sheets=len(set(sheet_of_model)),
         fields=len(models),
-        n=sum(model.n for model in of_models),
-        n_eff=sum(model.n_eff for model in of_models),
+        n=n,
+        n_eff=n_eff,
         r2=over_sheets(_fields("r2", of_models, sheet_of_model)).mean,
         r2_out=over_sheets(_fields("r2_out", of_models, sheet_of_model)).mean,
         coefficients=coefficients,

@@ -204,8 +204,8 @@ def without_screen(
             " larger sigma_um, or an image with smaller pixels."
         )
     kind = np.result_type(values.dtype, np.float32)
-    known = np.where(valid, values, 0).astype(kind, copy=False)
-    return smooth(known, valid.astype(kind), valid, sigma, truncate=SCREEN_REACH)
+    grey = np.where(valid, values, 0).astype(kind, copy=False)
+    return smooth(grey, valid.astype(kind), valid, sigma, truncate=SCREEN_REACH)
 
 
 def smooth(

@@ -195,11 +195,11 @@ def partial(a: Array, b: Array, covariates: Sequence[Array], *, pixel_um: Pixel)
     for m in covariates:
         is_valid &= valid_pixels(a, m, pixel)[0]
     check_varying(is_valid)
-    given = [m[is_valid] - m[is_valid].mean() for m in covariates]
+    columns = [m[is_valid] - m[is_valid].mean() for m in covariates]
     residual_maps: list[Floats] = []
     for m in (a, b):
         y = m[is_valid] - m[is_valid].mean()
-        residual = _left_of(y, given)
+        residual = _left_of(y, columns)
         if residual @ residual <= 1e-10 * (y @ y):
             raise InputError(
                 "The other maps explain all of one map: parts stand beside their sum. Leave one of"

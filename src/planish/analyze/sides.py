@@ -348,11 +348,11 @@ def _face_relation(texture: Textures, name: str, rival_name: str) -> Relation:
 
 def _mean_relation(texture: Textures, pairs: Iterable[tuple[str, str]]) -> Relation | None:
     """Mean relation of maps of the first sheet and maps of the second; None where none is known."""
-    known = [(name, f"other {other}") for name, other in pairs]
-    known = [pair for pair in known if texture.maps.keys() >= {*pair}]
-    if not known:
+    measured = [(name, f"other {other}") for name, other in pairs]
+    measured = [pair for pair in measured if texture.maps.keys() >= {*pair}]
+    if not measured:
         return None
-    relations = [_relation(texture, *pair) for pair in known]
+    relations = [_relation(texture, *pair) for pair in measured]
     r = sum(relation.r for relation in relations) / len(relations)
     sd = math.hypot(*(relation.sd for relation in relations)) / len(relations)
     return Relation(r, sd, r, sd)

@@ -122,8 +122,8 @@ def half_points(
     where less than half of a point counts, or the halves have no column in it. Also says whether no
     column's value holds anything of its neighbours.
     """
-    known = np.where(is_valid, 1.0, np.nan)
-    enough = np.isfinite(area_mean(known, square_px(point_um, cell_um)))
+    ones = np.where(is_valid, 1.0, np.nan)
+    enough = np.isfinite(area_mean(ones, square_px(point_um, cell_um)))
     height_um, width_um = np.minimum(
         np.multiply(is_valid.shape, cell_um), np.multiply(enough.shape, point_um)
     )

@@ -29,6 +29,7 @@ class Lags:
     """
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
+        """Count the pairs of known points at every lag, and sort lags into rings of distance."""
         self.is_valid = is_valid
         self.pixel_um = pixel_um
         self.n = int(np.count_nonzero(is_valid))
