@@ -173,7 +173,8 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
     xs, ys = (v[is_valid].astype(np.float64) for v in arrays)
     n = float(n_eff)
     _check_independent(n, xs.size)
-    n_distinct = 1 if xs.std() <= 1e-12 * np.abs(xs).max() else len(np.unique(xs))
+    is_constant = xs.std() <= 1e-12 * np.abs(xs).max()
+    n_distinct = 1 if is_constant else len(np.unique(xs))
     if n_distinct < 3:  # two do not show a curve
         raise CannotMeasure(
             f"x has {n_distinct} different value{'s' if n_distinct > 1 else ''}; a curve needs 3."

@@ -303,7 +303,8 @@ def _refuse_sums(cells: _Cells) -> None:
     names = [column.name for column in cells.columns]
     sums = {row[0] for row in SUMS}
     # A sum goes before its parts, and the response is the last.
-    for index in sorted(range(len(names)), key=lambda k: (k == 0, names[k] not in sums)):
+    order = sorted(range(len(names)), key=lambda k: (k == 0, names[k] not in sums))
+    for index in order:
         parts = [names[k] for k in _parts_of(values, index)]
         if not parts:
             continue

@@ -361,7 +361,8 @@ def _located(lag: Lag, search: LagSearch, peak: Peak, *, halves_of_slopes: int) 
         share = search.share_of(slice(0, -halves_of_slopes), peak.lag_px)
         lag = replace(lag, light=1.0 - share / peak.r)
     step_um = np.array(lag.pixel_um[::-1])
-    covariance = search.covariance(peak, lag.pixel_um)[::-1, ::-1] * np.outer(step_um, step_um)
+    covariance_px2 = search.covariance(peak, lag.pixel_um)[::-1, ::-1]
+    covariance = covariance_px2 * np.outer(step_um, step_um)
     covariance += (0.1 * max(lag.pixel_um)) ** 2 * np.eye(2)  # what is lost between the pixels
     if not math.sqrt(np.linalg.eigvalsh(covariance)[-1]) < lag.reach_um / 4:
         return replace(lag, reason=unsure)

@@ -83,10 +83,8 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
     # Padded by ten widths: what wraps around has fallen to 5e-5.
-    reach = (
-        min(math.ceil(10.0 * width_um / p), n) for n, p in zip(values.shape, pixel, strict=True)
-    )
-    shape = padded_shape(values.shape, reach)
+    reach = np.minimum(np.ceil(np.divide(10.0 * width_um, pixel)), values.shape)
+    shape = padded_shape(values.shape, reach.astype(np.intp).tolist())
     turns = 2 * math.pi * width_um * frequencies_of(shape, pixel)
     transfer = (1.0 + turns**2) ** -1.5
     mean = np.mean(values[is_valid], dtype=np.float64)

@@ -147,7 +147,8 @@ class Waves:
         self.resolution = math.sqrt(self.joined) / shorter_side_um(is_valid.shape, pixel_um)
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()
-        powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
+        squares = [np.abs(spectrum.ravel()) ** 2 for spectrum in self.spectra]
+        powers = [np.bincount(ring_numbers, weights=square) for square in squares]
         waves_of_ring = np.maximum(np.bincount(ring_numbers), 1)
         self.powers = np.stack(powers) / waves_of_ring  # (maps, rings)
 
@@ -179,8 +180,8 @@ def half_plane(shape: Shape) -> Bools:
     """One of each two modes that a real map has twice, in half of a Fourier transform."""
     rows = fft.fftfreq(shape[0], 1 / shape[0])
     cols = np.arange(shape[1] // 2 + 1)
-    inner = (cols > 0) & (2 * cols < shape[1])
-    return inner[None, :] | ((cols[None, :] == 0) & (rows[:, None] > 0))
+    is_inner = (cols > 0) & (2 * cols < shape[1])
+    return is_inner | ((cols == 0) & (rows[:, None] > 0))
 
 
 def answer_octaves(pair: ComparedMaps) -> Entries:

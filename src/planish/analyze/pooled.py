@@ -51,8 +51,9 @@ def random_effects(
     """
     y = values_of(effects, "effects").astype(np.float64)
     v = values_of(variances, "variances").astype(np.float64)
-    are_pairs = y.ndim == 1 and y.shape == v.shape
-    if not (are_pairs and y.size >= 2 and np.isfinite(y).all() and (v > 0).all()):
+    are_pairs = y.ndim == 1 and y.shape == v.shape and y.size >= 2
+    are_numbers = np.isfinite(y).all() and (v > 0).all()
+    if not (are_pairs and are_numbers):
         raise InputError(
             f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a"
             " number with a variance above 0."

@@ -30,7 +30,8 @@ class SheetColumns:
 
     def part(self, rows: slice) -> SheetColumns:
         """Some rows of columns."""
-        return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
+        measured, flat = (data.isel(y=rows) for data in (self.measured, self.flat))
+        return replace(self, measured=measured, flat=flat)
 
     def values(self, name: str) -> tuple[Floats, bool]:
         """A map by columns, and whether each is of its column alone.

@@ -3,6 +3,7 @@
 These are statistics of the leading maps, and their correlation.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -258,4 +259,4 @@ def _why_not_of_r(r: FigureRow, n_eff: float, usual_um: float | None) -> str:
 
 
 def _alike(a: float | None, b: float | None) -> bool:
-    return a is not None and b is not None and abs(a - b) <= 1e-3 * max(abs(a), abs(b))
+    return a is not None and b is not None and math.isclose(a, b, rel_tol=1e-3)

@@ -15,7 +15,7 @@ from scipy import fft
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair, Shape2D
 from planish.texture.spectra import padded_shape, padded_spectrum, wrapped_lags_um
-from planish.texture.textures import centred, influence_on_r
+from planish.texture.textures import centred, influence_on_r, standard
 
 BANDWIDTH = 0.15
 """Share of the shorter side: how far points are taken to add to r together in the second
@@ -179,7 +179,7 @@ class PairCovariances:
         that what longer lags would add, and what the mean of a map takes off, are the same in both.
         """
         bandwidth_um = BANDWIDTH * shorter_side_um(self.lags.is_valid.shape, self.lags.pixel_um)
-        x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
+        x, y = (standard(m, self.lags.is_valid) for m in self._maps)
         influence_hat = self.lags.transform(influence_on_r(x, y, r))
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
