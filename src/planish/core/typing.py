@@ -11,6 +11,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 Singles = NDArray[np.float32]  # of single precision
 Pair = tuple[float, float]
+TwoFields = tuple[Floats, Floats]  # such as both faces of a sheet, or rows and columns
 Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
 Array = NDArray[Any]
 Window = tuple[slice, slice]  # rows and columns of a part

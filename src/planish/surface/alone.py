@@ -9,6 +9,7 @@ it does not reach is alone.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from scipy import ndimage
 from planish.core.grid import at_index
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Floats
-from planish.surface.columns import Columns, Guide, LoneGrey, Priors, oriented
+from planish.core.typing import Floats, Ints, TwoFields
+from planish.surface.columns import Columns, Guide, LoneGrey, Pitch, Priors, oriented
 from planish.surface.faces import fit_job, fit_tile
 
 RADII = (4.0, 3.68, 3.39, 3.11, 2.86)
@@ -65,11 +66,8 @@ def patches_of(columns: Columns, guide: Guide, most: int) -> list[Tile]:
     The first of them are spread over it as well.
     """
     edge = int(np.clip(np.sqrt(_PATCH_VOXELS / columns.shape[2]), 16, _EDGE))
-    tiles = [
-        tile
-        for tile in tiles_of(columns.shape[:2], (edge, edge))
-        if np.isfinite(guide.low[tile.rows, tile.cols]).any()
-    ]
+    all_tiles = tiles_of(columns.shape[:2], (edge, edge))
+    tiles = [t for t in all_tiles if np.isfinite(guide.low[t.rows, t.cols]).any()]
     order = np.argsort((np.arange(len(tiles)) * 0.6180339887498949) % 1.0)  # the golden section
     return [tiles[k] for k in order[: max(most // edge**2, 1)]]
 
@@ -81,10 +79,7 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     # As it is: neighbours would dim what lies beside a face.
     scale = replace(priors.scale, blend_sd=0.0)
     grey, _ = oriented(columns, patch, guide.part(patch), scale)
-    block_row, block_col = (
-        (np.arange(n) * pitch_um // min(_BLOCK_UM, n * pitch_um / 3.0)).astype(int)
-        for n, pitch_um in zip(patch.shape, columns.pitch[:2], strict=True)
-    )
+    block_row, block_col = map(_block_numbers, patch.shape, columns.pitch)
     block_index = (block_row[:, None] * (block_col[-1] + 1) + block_col).ravel()
     # A fringe reaches as far as a blur of its own width.
     edge = priors.edge
@@ -107,25 +102,28 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     return sums
 
 
-def _beyond_ball(
-    outer: Floats, inner: Floats, radius_um: float, pitch_um: tuple[float, float, float]
-) -> tuple[Floats, Floats]:
+def _block_numbers(count: int, pitch_um: float) -> Ints:
+    """Number of the block of each of so many rows or columns."""
+    block_um = min(_BLOCK_UM, count * pitch_um / 3.0)
+    return (np.arange(count) * pitch_um // block_um).astype(int)
+
+
+def _beyond_ball(outer: Floats, inner: Floats, radius_um: float, pitch_um: Pitch) -> TwoFields:
     """First and last depth, in voxels, that lie a radius from both faces and from missing ones."""
     reach = [int(radius_um / p) for p in pitch_um[:2]]
     rows_um, cols_um = (np.arange(-n, n + 1) * p for n, p in zip(reach, pitch_um[:2], strict=True))
     square_um2 = radius_um**2 - rows_um[:, None] ** 2 - cols_um**2
     ball: Any = np.sqrt(np.maximum(square_um2, 0.0)) / pitch_um[2]
     is_known = np.isfinite(outer) & np.isfinite(inner)
-    lowered, raised = (
-        ndimage.grey_dilation(
-            np.where(is_known, depth, _UNKNOWN),
-            footprint=square_um2 >= 0,
-            structure=ball,
-            mode="constant",
-            cval=_UNKNOWN,
-        )
-        for depth in (outer, -inner)
+    rolled = partial(
+        ndimage.grey_dilation,
+        footprint=square_um2 >= 0,
+        structure=ball,
+        mode="constant",
+        cval=_UNKNOWN,
     )
+    lowered = rolled(np.where(is_known, outer, _UNKNOWN))
+    raised = rolled(np.where(is_known, -inner, _UNKNOWN))
     return lowered, -raised
 
 

@@ -5,7 +5,7 @@ It is sheet, rim and hole, centre surface, presence of material, and status.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import VolumeError
-from planish.core.grid import filled
+from planish.core.grid import Grid, filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Entries, Floats, Pair, TwoFields
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression, slice_smoothed
 from planish.surface.columns import Columns, join_tiles, voxel_pitch
@@ -67,11 +67,10 @@ class ColumnStates(NamedTuple):
 
     def status(self, in_sheet: Bools, in_rim: Bools, has_centre: Bools) -> NDArray[np.uint8]:
         """Give the status of each column."""
-        status = np.select(
-            [~(has_centre & in_sheet), in_rim, self.has_faces, self.below_particle],
-            [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE],
-            Status.FACE_NOT_FOUND,
-        )
+        is_outside = ~(has_centre & in_sheet)
+        conditions = [is_outside, in_rim, self.has_faces, self.below_particle]
+        codes = [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE]
+        status = np.select(conditions, codes, Status.FACE_NOT_FOUND)
         status[self.is_touching & in_sheet] = Status.TOUCHING
         status[self.runs_out & (status > 0)] = Status.LEAVES_VOLUME
         return status.astype(np.uint8)
@@ -101,7 +100,8 @@ def assemble(
             " `sheet_grey`."
         )
     heights = {name: np.where(states.has_faces, faces.heights[name], np.nan) for name in _TITLES}
-    thickness = float(np.median(np.abs(heights["top"] - heights["bottom"])[states.has_faces]))
+    sheet_um = np.abs(heights["top"] - heights["bottom"])
+    thickness = float(np.median(sheet_um[states.has_faces]))
     in_sheet, in_rim, in_outline = regions(states.is_sheet, states.runs_out, pitch, params.rim_um)
     face_mean = np.where(in_sheet & ~in_rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
     if not np.isfinite(face_mean).any():
@@ -137,9 +137,8 @@ def assemble(
     status = states.status(in_sheet, in_rim, has_centre)
     variables["status"] = ("y", "x"), status, status_flags()
     attrs = _attrs(columns, params, faces, states, thickness, cutoff_used, status)
-    lateral_um = columns.lateral_um()
-    coords = {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}
-    return xr.Dataset(variables, coords, attrs)
+    y_um, x_um = columns.lateral_um()
+    return xr.Dataset(variables, Grid(x_um=x_um, y_um=y_um).coords, attrs)
 
 
 def _attrs(
@@ -150,30 +149,32 @@ def _attrs(
     thickness: float,
     cutoff_used: Floats,
     status: NDArray[np.uint8],
-) -> dict[str, Any]:
+) -> Entries:
     """Options of the search, what was removed, bridged gaps and half-closed holes."""
     is_bridged = cutoff_used > params.cutoff_um
-    off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
     bridged_share = np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(cutoff_used))
+    off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
+    off_rims_share = float(off_rims.mean()) if off_rims.size else 0.0
     holes = half_closed(states.is_sheet, states.runs_out, columns.pitch[:2])
     holes_um = [
         np.interp(index, np.arange(um.size), um)
         for index, um in zip(holes.T, columns.lateral_um(), strict=True)
     ]
-    attrs = columns.frame.attrs() | {
+    voxel_um = [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")]
+    attrs: Entries = {
         "thickness_um": thickness,
         "cutoff_um": params.cutoff_um,
         "bridged_share": float(bridged_share),
-        "bridged_off_rims_share": float(off_rims.mean()) if off_rims.size else 0.0,
+        "bridged_off_rims_share": off_rims_share,
         "rim_um": params.rim_um,
-        "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
+        "voxel_um": voxel_um,
         "particles_removed": faces.particles,
         "half_closed_holes": len(holes),
         "half_closed_at_um": np.transpose(holes_um).ravel().tolist(),
     }
     if params.method != "profile":
         attrs["method"] = params.method
-    return attrs
+    return columns.frame.attrs() | attrs
 
 
 def _face_variables(heights: dict[str, Floats], faces: Faces) -> dict[str, Variable]:
@@ -228,16 +229,15 @@ def alternative_surfaces(
     if np.isfinite(base_offset).mean() >= 0.5 * np.isfinite(face_mean).mean():
         base_middle = centre_surface(base_offset, in_outline, pitch, params)[0]
         surfaces["base_middle"] = base_middle, "Middle of the base, over the centre surface"
-    has_centre = np.isfinite(centre)
-    return {
-        name: (np.where(has_centre, filled(height), np.nan), title)
-        for name, (height, title) in surfaces.items()
-    }
+    for name, (height, title) in surfaces.items():
+        carried_on = np.where(np.isfinite(centre), filled(height), np.nan)
+        surfaces[name] = carried_on, title
+    return surfaces
 
 
 def centre_surface(
     face_mean: Floats, in_outline: Bools, pitch: Pair, params: SurfaceParams
-) -> tuple[Floats, Floats]:
+) -> TwoFields:
     """Smooth the mean of the faces and carry it across holes.
 
     The centre surface and the cut-off used, in um.
@@ -295,9 +295,8 @@ def find_presence(
     pitch = columns.pitch
     slope = np.gradient(centre, *pitch[:2])
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
-    normals = [
-        up_sign * n / length / p for n, p in zip((-slope[0], -slope[1], 1.0), pitch, strict=True)
-    ]
+    upwards = -slope[0], -slope[1], 1.0
+    normals = [up_sign * n / length / p for n, p in zip(upwards, pitch, strict=True)]
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
     def job(tile: Tile) -> tuple[Columns, list[Floats], float, Pair]:
@@ -308,8 +307,8 @@ def find_presence(
     range_px = float(np.nanmax(depth) - np.nanmin(depth) + thickness / pitch[2])
     tiles = columns.tiles(engine, share=min(range_px / columns.shape[2], 1.0))
     presence_by_tile = engine.map("layers", _tile_presence, job, tiles)
-    shares = join_tiles(presence_by_tile, np.full((len(LAYERS), *columns.shape[:2]), np.nan))
-    return dict(zip(LAYERS, shares, strict=True))
+    shares = np.full((len(LAYERS), *columns.shape[:2]), np.nan)
+    return dict(zip(LAYERS, join_tiles(presence_by_tile, shares), strict=True))
 
 
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
@@ -338,16 +337,17 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
         return shares
     first_px = min(max(int(np.floor(min_depth)), 0), depth_count - 2)
     stop_px = min(int(np.ceil(max_depth)) + 2, depth_count)
-    halo_rows, halo_cols = (
-        int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1
-        for n in normal[:2]
-    )
-    tile_with_halo = tile.grown(halo_rows, halo_cols, columns.shape[:2])
+    reach_um = np.abs(offsets).max()
+    largest_px = [float(np.abs(n[is_sheet]).max()) for n in normal[:2]]
+    halo = [int(np.ceil(reach_um * px)) + 1 for px in largest_px]
+    tile_with_halo = tile.grown(halo[0], halo[1], columns.shape[:2])
+    grey = columns.grey(tile_with_halo, depth=slice(first_px, stop_px))
+    lead = tile.within(tile_with_halo)[::2]
     _kernels.presence(
-        columns.grey(tile_with_halo, depth=slice(first_px, stop_px)),
+        grey,
         first_px,
         depth_count,
-        *tile.within(tile_with_halo)[::2],
+        *lead,
         centre_depth,
         *normal,
         offsets,

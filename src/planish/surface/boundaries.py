@@ -9,18 +9,16 @@ that is how it was.
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import at_index
 from planish.core.robust import otsu_borders
 from planish.core.tiles import Engine, Tile, tiles_of
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Array, Floats, Pair, TwoFields
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, Guide, Priors, join_tiles, make_guide, oriented
 from planish.surface.faces import (
@@ -77,20 +75,17 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
         paper_level, coating_level = otsu(near_grey, 3 if any(priors.coated) else 2)
         profiles = row_grey.astype(np.float64)
         for k, (outer, opposite) in enumerate(faces_by_end):
-            depths[2 * k : 2 * k + 2, i] = _outer_boundaries(
-                profiles[:, ::-1] if k == 0 else profiles,
-                outer[i],
-                opposite[i],
-                outer[i] - search_px[i],
-                paper_level,
-                coating_level if priors.coated[k] else np.inf,
-            )
+            inward = profiles[:, ::-1] if k == 0 else profiles
+            start = outer[i] - search_px[i]
+            levels = paper_level, coating_level if priors.coated[k] else np.inf
+            boundaries = _outer_boundaries(inward, outer[i], opposite[i], start, *levels)
+            depths[2 * k : 2 * k + 2, i] = boundaries
     return depths
 
 
 def _outer_boundaries(
     grey: Floats, expected: Floats, opposite: Floats, start: Floats, paper: float, coating: float
-) -> tuple[Floats, Floats]:
+) -> TwoFields:
     """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,).
 
     NaN for none.
@@ -104,10 +99,12 @@ def _outer_boundaries(
     middle = np.where(is_expected, 0.5 * (expected + opposite), -1.0).astype(int)
     is_above = grey > paper
     is_bright = grey > coating
-    is_clear = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:] > paper
+    smoothed = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:]
+    is_clear = smoothed > paper
     is_entered = np.zeros(grey.shape, dtype=bool)
     is_entered[:, 1:-2] = is_clear[:, :-1] & is_clear[:, 1:]
-    entry = first_where(is_entered & (depth <= middle[:, None]), np.maximum(np.floor(start), 1))
+    is_entered &= depth <= middle[:, None]
+    entry = first_where(is_entered, np.maximum(np.floor(start), 1))
     has_face = entry < depth_count
     # The smoothed grey passes up to a voxel beside the grey itself.
     is_outside = ~is_above & (depth < entry[:, None])
@@ -132,7 +129,8 @@ def otsu(grey: Floats, classes: int) -> Pair:
     low, high = (float(limit) for limit in np.percentile(grey, [0.1, 99.9]))
     if not high > low:
         return low, float("inf")
-    counts, edges = np.histogram(np.clip(grey, low, high), bins=_BINS, range=(low, high))
+    usual_grey = np.clip(grey, low, high)
+    counts, edges = np.histogram(usual_grey, bins=_BINS, range=(low, high))
     shares = counts / counts.sum()
     middle = 0.5 * (edges[1:] + edges[:-1])
     greys = middle * counts / counts.sum()
@@ -151,7 +149,7 @@ class LabelColumns(Columns):
     codes: dict[int, int]  # by label
     sheet: bool = True  # give 1 for all that is not air
 
-    def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
+    def voxels(self, tile: Tile, depth: slice = slice(None)) -> Array:
         """Codes of the voxels of a tile, or of a part of their depth."""
         # Slots leave a dataclass without its class cell, so super() needs it.
         raw = super(LabelColumns, self).voxels(tile, depth)
@@ -199,14 +197,10 @@ def surfaces_from_labels(
     # A side with a coating in fewer than 2 % of its columns has none.
     is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
     high_coated, low_coated = (bool(mask.size and mask.mean() > 0.02) for mask in is_coated)
-    surfaces = assemble(
-        columns,
-        params,
-        faces_from_depths(depths, columns, (high_coated, low_coated), particles=coarse.specks),
-        doubtful(guide, coarse, 0.0, columns.shape[2]),
-        (0.0, 1.0),
-        engine,
-    )
+    coated = high_coated, low_coated
+    faces = faces_from_depths(depths, columns, coated, particles=coarse.specks)
+    doubt = doubtful(guide, coarse, 0.0, columns.shape[2])
+    surfaces = assemble(columns, params, faces, doubt, (0.0, 1.0), engine)
     codes_text = " ".join(f"{label}:{code}" for label, code in columns.codes.items())
     return surfaces.assign_attrs(empty_share=empty_share, from_labels=codes_text)
 

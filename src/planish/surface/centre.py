@@ -14,9 +14,10 @@ from scipy import ndimage
 
 from planish.core.grid import filled
 from planish.core.threads import map_threads
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Pair, TwoFields
 
 _NODES = 2**15  # whose paraboloids are fitted at once: some 20 MB of them
+Power = tuple[int, int]  # of the distance down and across
 _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 
 
@@ -29,25 +30,20 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     # A field that is hardly wider than that is cut into four all the same.
-    block = [
-        max(1, min(int(cutoff_um / 25 / p), n // 4))
-        for p, n in zip(pitch_um, height.shape, strict=True)
-    ]
+    block_um = cutoff_um / 25
+    sizes = zip(pitch_um, height.shape, strict=True)
+    block = [max(1, min(int(block_um / p), n // 4)) for p, n in sizes]
     is_finite = np.isfinite(height)
-    row_starts, col_starts = (np.arange(0, n, b) for n, b in zip(height.shape, block, strict=True))
-    block_sum, finite_count = (
-        np.add.reduceat(np.add.reduceat(addend, row_starts, 0), col_starts, 1)
-        for addend in (np.where(is_finite, height, 0.0), is_finite.astype(float))
-    )
+    block_sum = _block_sums(np.where(is_finite, height, 0.0), block)
+    finite_count = _block_sums(is_finite.astype(float), block)
     # A partial block's mean does not lie at its nominal centre; it is left out unless it is
     # (nearly) whole.
     full_count = block[0] * block[1]
     is_whole = finite_count >= 0.5 * full_count
     pad_nodes = 8  # the spline forgets its end condition by a factor of four a node
-    mean, weight = (
-        np.pad(np.where(is_whole, field, 0.0), pad_nodes)
-        for field in (block_sum / np.maximum(finite_count, 1.0), finite_count / full_count)
-    )
+    block_mean = block_sum / np.maximum(finite_count, 1.0)
+    mean = np.pad(np.where(is_whole, block_mean, 0.0), pad_nodes)
+    weight = np.pad(np.where(is_whole, finite_count / full_count, 0.0), pad_nodes)
     regression = _Regression(weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
     coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its
@@ -57,6 +53,13 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     return interpolate(coarse, positions, order=3)
 
 
+def _block_sums(field: Floats, block: Sequence[int]) -> Floats:
+    sums = field
+    for axis, size in enumerate(block):
+        sums = np.add.reduceat(sums, np.arange(0, field.shape[axis], size), axis)
+    return sums
+
+
 def block_positions(
     shape: Sequence[int], block: Sequence[int], block_counts: Sequence[int], first: int = 0
 ) -> list[Floats]:
@@ -64,10 +67,11 @@ def block_positions(
 
     ``first``: number of the first block that holds any of them.
     """
-    return [
-        np.clip((np.arange(n) - 0.5 * (b - 1)) / b + first, 0, count - 1)
-        for n, b, count in zip(shape, block, block_counts, strict=True)
-    ]
+    positions: list[Floats] = []
+    for n, b, count in zip(shape, block, block_counts, strict=True):
+        position = (np.arange(n) - 0.5 * (b - 1)) / b + first
+        positions.append(np.clip(position, 0, count - 1))
+    return positions
 
 
 def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Literal[1, 3]) -> Floats:
@@ -103,9 +107,8 @@ def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floa
         # Mirrored through its ends, so that a slope goes on beyond them.
         reach_px = min(int(np.ceil(3 * sigma)), filled_row.size - 1)
         mirrored = np.pad(filled_row, reach_px, mode="reflect", reflect_type="odd")
-        smoothed[i] = ndimage.gaussian_filter1d(mirrored, sigma, truncate=3.0)[
-            reach_px : reach_px + filled_row.size
-        ]
+        smoothed_row = ndimage.gaussian_filter1d(mirrored, sigma, truncate=3.0)
+        smoothed[i] = smoothed_row[reach_px : reach_px + filled_row.size]
     return smoothed
 
 
@@ -118,34 +121,30 @@ class _Regression:
         # wider weight.
         scale = 0.887 * cutoff
         self.weight = weight
-        self.axes: list[tuple[Floats, Floats]] = []
+        self.axes: list[TwoFields] = []
         for p in pitch:
             # In units of GAMMA lambda; the weight there is 0.0009.
             half_width = max(2, int(np.ceil(1.5 * scale / p)))
-            x: Floats = np.asarray(
-                np.arange(-half_width, half_width + 1) * p / scale, dtype=np.float64
-            )
+            nodes = np.arange(-half_width, half_width + 1, dtype=np.float64)
+            x = nodes * p / scale
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, [(i, j) for i in range(5) for j in range(5 - i)])
         full_weight = float(self.axes[0][1].sum() * self.axes[1][1].sum())
         # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own
         # fullest counts then. Below so much of it the surface would be extrapolated. Where there is
         # data nothing is, however few the neighbours are.
-        self.good = (weight > 0) | (
-            moments[0, 0] > 0.04 * min(full_weight, 4.0 * float(moments[0, 0].max()))
-        )
+        fullest = min(full_weight, 4.0 * float(moments[0, 0].max()))
+        self.good = (weight > 0) | (moments[0, 0] > 0.04 * fullest)
         self.moments = {power: moment[self.good] for power, moment in moments.items()}
         self.ridge = 1e-9 * full_weight * np.eye(6)
 
-    def _moments(
-        self, field: Floats, powers: list[tuple[int, int]]
-    ) -> dict[tuple[int, int], Floats]:
+    def _moments(self, field: Floats, powers: list[Power]) -> dict[Power, Floats]:
         (y, wy), (x, wx) = self.axes
 
         def down(i: int) -> Floats:
             return ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant")
 
-        def across(power: tuple[int, int]) -> Floats:
+        def across(power: Power) -> Floats:
             return ndimage.correlate1d(
                 down_moments[power[0]], wx * x ** power[1], axis=1, mode="constant"
             )
@@ -166,11 +165,12 @@ class _Regression:
         sums = np.stack([weighted_moments[term][self.good] for term in _TERMS], axis=-1)
 
         def constant_terms(nodes: slice) -> Floats:
-            rows = [
-                np.stack([self.moments[i + k, j + m][nodes] for k, m in _TERMS], axis=-1)
-                for i, j in _TERMS
-            ]
-            solved = np.linalg.solve(np.stack(rows, axis=1) + self.ridge, sums[nodes, :, None])
+            rows: list[Floats] = []
+            for i, j in _TERMS:
+                products = [self.moments[i + k, j + m][nodes] for k, m in _TERMS]
+                rows.append(np.stack(products, axis=-1))
+            system = np.stack(rows, axis=1) + self.ridge
+            solved = np.linalg.solve(system, sums[nodes, :, None])
             return np.asarray(solved[..., 0, 0] + offset, dtype=np.float64)
 
         pieces = [slice(k, k + _NODES) for k in range(0, len(sums), _NODES)]

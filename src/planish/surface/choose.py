@@ -12,7 +12,15 @@ import numpy as np
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats
-from planish.surface.coarse import CORE, Blocks, Choice, CoarseSheet, followed_sheet, search_sheet
+from planish.surface.coarse import (
+    CORE,
+    BlockIndex,
+    Blocks,
+    Choice,
+    CoarseSheet,
+    followed_sheet,
+    search_sheet,
+)
 from planish.surface.columns import Columns, voxel_pitch
 from planish.surface.params import SurfaceParams
 
@@ -31,7 +39,7 @@ def make_choice(
     lateral_px = block * columns.step
     block_px = dict(zip(columns.axes, (lateral_px, lateral_px, 1), strict=True))
 
-    def describe(block_index: tuple[int, int, int]) -> str:
+    def describe(block_index: BlockIndex) -> str:
         place_um: dict[str, float] = {}
         for (axis, width_px), i in zip(block_px.items(), block_index, strict=True):
             coords_um = volume[axis].values
@@ -101,7 +109,7 @@ def _only_sheet(
 
 
 def _unseeded(
-    oriented: Blocks, threshold: float, choice: Choice, seed: tuple[int, int, int]
+    oriented: Blocks, threshold: float, choice: Choice, seed: BlockIndex
 ) -> CoarseSheet | None:
     """Find the sheet without its seed; None where that is none, or not the one at the seed."""
     try:
@@ -216,9 +224,11 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
             " side, or `through` names another axis."
         )
     low, high = sheet.low[rows, cols], sheet.high[rows, cols]
-    depth = np.rint(low[:, None] + (high - low)[:, None] * np.linspace(*CORE, 7)).astype(int)
+    core_offsets = (high - low)[:, None] * np.linspace(*CORE, 7)
+    depth = np.rint(low[:, None] + core_offsets).astype(int)
+    core_grey = oriented[rows[:, None], cols[:, None], depth]
     # The core tells the base's level, and that a better threshold: half way between air and base.
-    base = float(np.median(oriented[rows[:, None], cols[:, None], depth].astype(np.float64)))
+    base = float(np.median(core_grey.astype(np.float64)))
     # Beside another object it is not lowered: noise and blur would join them.
     threshold = max(threshold * (1.0 if choice.may_lead else 0.7), 0.5 * base)
     return search_sheet(oriented, oriented > threshold, threshold, choice)
@@ -272,7 +282,7 @@ def _touching_share(sheet: CoarseSheet) -> float:
     return touching_count / max(measured_count + touching_count, 1)
 
 
-def seed_grey(sharp_blocks: Blocks, seed: tuple[int, int, int]) -> Floats:
+def seed_grey(sharp_blocks: Blocks, seed: BlockIndex) -> Floats:
     """Grey around the seed point, at the depth before it, at its own, and after it."""
     neighbourhood = tuple(slice(max(k - 1, 0), k + 2) for k in seed)
     return np.asarray(np.median(sharp_blocks[neighbourhood], axis=(0, 1)), dtype=np.float64)

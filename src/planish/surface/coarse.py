@@ -14,13 +14,14 @@ from scipy import ndimage
 
 from planish.core.errors import VolumeError
 from planish.core.grid import at_index, first_and_last
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Shape2D, Singles, TwoFields
 from planish.surface import _kernels
 from planish.surface.centre import block_positions, interpolate
 
-Blocks = NDArray[np.float32]
+Blocks = Singles
 """Means over blocks of columns: (block rows, block cols, depth)."""
 Labels = NDArray[np.integer]
+BlockIndex = tuple[int, int, int]  # block row, block column and depth
 CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
@@ -70,9 +71,9 @@ class Choice:
 
     block: int  # edge of a block in voxels
     # Turns such a point into what a user would give as a seed.
-    describe: Callable[[tuple[int, int, int]], str]
+    describe: Callable[[BlockIndex], str]
     # Block row, block column and depth of a point in it; the largest object where not given.
-    seed: tuple[int, int, int] | None = None
+    seed: BlockIndex | None = None
     may_lead: bool = False  # of several, the one that is coated or thicker than the others
 
 
@@ -117,6 +118,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     # Fewer blocks are noise.
     specks = int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels)
     sheet_labels.remove(sheet_label)
+    companions = [_companion(blocks, labels == k, low, high) for k in sheet_labels]
     return CoarseSheet(
         low=low,
         high=high,
@@ -125,7 +127,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         threshold=threshold,
         is_touching=np.zeros(low.shape, bool),
         specks=specks,
-        companions=tuple(_companion(blocks, labels == k, low, high) for k in sheet_labels),
+        companions=tuple(companions),
     )
 
 
@@ -144,9 +146,9 @@ def _check_slab(in_sheet: Bools) -> None:
     """Raise VolumeError if a slab leaves the volume, or is several sheets behind each other."""
     n_filled = in_sheet.sum(axis=-1)
     has_sheet = n_filled > 0
-    leaving_share, end = max(
-        (in_sheet[..., k].mean() / has_sheet.mean(), end) for end, k in (("low", 0), ("high", -1))
-    )
+    share_at_end = {"low": in_sheet[..., 0].mean(), "high": in_sheet[..., -1].mean()}
+    end = max(share_at_end, key=share_at_end.__getitem__)
+    leaving_share = share_at_end[end] / has_sheet.mean()
     if leaving_share > _LEAVES:
         raise VolumeError(
             f"Material reaches the {end} end of the axis through the sheet in"
@@ -176,7 +178,8 @@ def _points_text(
     for label in sheet_labels:
         in_object = labels == label
         rows, cols = np.nonzero(in_object.any(axis=-1))
-        k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
+        off_middle = (rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2
+        k = int(np.argmin(off_middle))
         depth = np.flatnonzero(in_object[rows[k], cols[k]])
         point = int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
         with suppress(VolumeError):
@@ -234,8 +237,8 @@ def _inside(in_object: Bools) -> Bools:
     first, last = first_and_last(in_object)
     rim = np.minimum(_RIM, (last - first) // 2)
     depth = np.arange(in_object.shape[-1])
-    is_inside = (depth >= (first + rim)[..., None]) & (depth <= (last - rim)[..., None])
-    return in_object & is_inside
+    is_below = depth >= (first + rim)[..., None]
+    return in_object & is_below & (depth <= (last - rim)[..., None])
 
 
 def _companion(blocks: Blocks, in_object: Bools, low: Floats, high: Floats) -> Companion:
@@ -274,9 +277,10 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     stop = int(outside[outside > depth].min(initial=run.size)) - 1
     # The seed's own run says roughly how thick the sheet is, the median of what was found then says
     # it well.
-    low, high, _ = _follow(inside, (row, col, start, stop), 2.0 * (stop - start + 1) + 2.0)
+    seed_run = row, col, start, stop
+    low, high, _ = _follow(inside, seed_run, 2.0 * (stop - start + 1) + 2.0)
     usual_run = float(np.median((high - low + 1)[low >= 0]))
-    low, high, is_merged = _follow(inside, (row, col, start, stop), MERGED * usual_run + 1.0)
+    low, high, is_merged = _follow(inside, seed_run, MERGED * usual_run + 1.0)
     has_sheet = low >= 0
     object_text = f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x)"
     if has_sheet.mean() < _LEAST_COVER:
@@ -313,35 +317,36 @@ def _follow(
     return low, high, is_merged
 
 
-def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
+def flags_to_columns(field: Bools, block: int, shape: Shape2D) -> Bools:
     """Give every column the flag of its block."""
     positions = block_positions(shape, (block, block), field.shape)
     return field[np.ix_(*(np.rint(position).astype(int) for position in positions))]
 
 
-def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
+def to_columns(field: Floats, block: int, shape: Shape2D) -> Floats:
     """Interpolate a block map to single columns; NaN where the nearest block is NaN."""
     return interpolate(field, block_positions(shape, (block, block), field.shape), order=1)
 
 
-def _extent_of(blocks: Blocks, in_object: Bools, threshold: float) -> tuple[Floats, Floats]:
+def _extent_of(blocks: Blocks, in_object: Bools, threshold: float) -> TwoFields:
     """Depth at which the grey of an object crosses the threshold at its low and its high end."""
     has_object = in_object.any(axis=-1)
     low, high = (np.where(has_object, index, -1) for index in first_and_last(in_object))
     return _extent(blocks, low, high, threshold)
 
 
-def _extent(blocks: Blocks, low: Labels, high: Labels, threshold: float) -> tuple[Floats, Floats]:
+def _extent(blocks: Blocks, low: Labels, high: Labels, threshold: float) -> TwoFields:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
     # A sheet that touches the end of its column is cut there: its face is not in the volume, and
     # that end is NaN.
     extents: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):
-        inner, outer = (
-            at_index(blocks, np.clip(index + step, 0, last)).astype(float) for step in (0, outward)
-        )
+        inner = at_index(blocks, np.clip(index, 0, last)).astype(float)
+        outer = at_index(blocks, np.clip(index + outward, 0, last)).astype(float)
         fall = inner - outer
-        share = np.clip((inner - threshold) / np.where(np.abs(fall) > 1e-12, fall, 1.0), 0.0, 1.0)
-        extents.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
+        divisor = np.where(np.abs(fall) > 1e-12, fall, 1.0)
+        share = np.clip((inner - threshold) / divisor, 0.0, 1.0)
+        has_face = (index >= 0) & (index != end)
+        extents.append(np.where(has_face, index + outward * share, np.nan))
     return extents[0], extents[1]

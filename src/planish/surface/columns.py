@@ -9,20 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from planish.core.facts import SIDES
 from planish.core.frame import Axis, Frame
 from planish.core.labelled import chunks_of, read_box
 from planish.core.tiles import Engine, Tile, tiles_of
-from planish.core.typing import Floats
+from planish.core.typing import Array, Entries, Floats, Pair, Shape2D, Singles, TwoFields
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression
 from planish.surface.coarse import CoarseSheet, to_columns
 
+Pitch = tuple[float, float, float]  # of rows, of columns, and along a column, in um
 _TILE = 192  # columns along an edge of a tile at most; the memory decides below that
 
 
@@ -47,7 +48,7 @@ class Columns:
         return rows // self.step, cols // self.step, depth
 
     @property
-    def pitch(self) -> tuple[float, float, float]:
+    def pitch(self) -> Pitch:
         """Distance of rows, of columns, and of voxels along a column, in um."""
         rows, cols, depth = (voxel_pitch(self.volume, axis) for axis in self.axes)
         return rows * self.step, cols * self.step, depth
@@ -57,30 +58,28 @@ class Columns:
         """Coordinates along the columns."""
         return np.asarray(self.volume.coords[self.frame.through].values, dtype=np.float64)
 
-    def lateral_um(self) -> tuple[Floats, Floats]:
+    def lateral_um(self) -> TwoFields:
         """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
-        rows_um, cols_um = (
-            self.volume.coords[axis]
-            .values[: n * self.step]
-            .astype(np.float64)
-            .reshape(n, self.step)
-            .mean(axis=1)
-            for axis, n in zip(self.axes[:2], self.shape[:2], strict=True)
-        )
-        return rows_um, cols_um
+        rows, cols, _ = self.shape
+        return self._middles_um(self.frame.rows, rows), self._middles_um(self.frame.cols, cols)
 
-    def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
+    def _middles_um(self, axis: Axis, count: int) -> Floats:
+        voxels_um = self.volume.coords[axis].values[: count * self.step].astype(np.float64)
+        return voxels_um.reshape(count, self.step).mean(axis=1)
+
+    def voxels(self, tile: Tile, depth: slice = slice(None)) -> Array:
         """Return the voxels of a tile, or of a part of their depth, as they are stored.
 
         The shape is (rows * step, cols * step, depth).
         """
         k = self.step
-        box = slice(tile.r0 * k, tile.r1 * k), slice(tile.c0 * k, tile.c1 * k), depth
-        return read_box(self.volume, dict(zip(self.axes, box, strict=True)))
+        rows = slice(tile.r0 * k, tile.r1 * k)
+        cols = slice(tile.c0 * k, tile.c1 * k)
+        return read_box(self.volume, dict(zip(self.axes, (rows, cols, depth), strict=True)))
 
     def grey(
-        self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)
-    ) -> NDArray[np.float32]:
+        self, tile: Tile, slope: TwoFields | None = None, depth: slice = slice(None)
+    ) -> Singles:
         """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
 
         ``slope``, two (rows, cols): how far the sheet rises along the column from one voxel row to
@@ -91,10 +90,8 @@ class Columns:
         stored = self.voxels(tile, depth)
         if self.step > 1:
             missing = np.nan if self.padding is None else self.padding
-            slope_r, slope_c = (
-                np.ascontiguousarray(a)
-                for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape))
-            )
+            level = np.zeros(tile.shape)
+            slope_r, slope_c = map(np.ascontiguousarray, slope or (level, level))
             grey = np.empty((*tile.shape, stored.shape[2]), dtype=np.float32)
             _kernels.mean_columns(stored, self.step, slope_r, slope_c, missing, grey)
             return grey
@@ -114,9 +111,8 @@ class Columns:
         """
         rows, cols, depth = self.shape
         # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
-        column_bytes = (
-            share * depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
-        )
+        voxel_bytes = self.volume.dtype.itemsize + 12 / self.step**2
+        column_bytes = share * depth * self.step**2 * voxel_bytes
         budget_bytes = engine.memory_bytes / (engine.at_once + 1) / 2
         # Columns in a chunk of the file where they fit into it evenly.
         chunk_sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]
@@ -124,18 +120,14 @@ class Columns:
             n // self.step for n in chunk_sizes if n % self.step == 0 and n // self.step <= _TILE
         ]
         multiple = math.lcm(multiple, *chunk_columns)
-        rows_per_tile = (
-            max(int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE)) // multiple, 1)
-            * multiple
-        )
+        edge = int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE))
+        rows_per_tile = max(edge // multiple, 1) * multiple
         # Along the rows of the file as far as memory allows, so that neighbours in the file are
         # read together.
-        cols_per_tile = (
-            max(int(budget_bytes / column_bytes / rows_per_tile) // multiple, 1) * multiple
-        )
-        return tiles_of(
-            (rows, cols), (rows_per_tile, max(min(cols_per_tile, 4 * rows_per_tile), rows_per_tile))
-        )
+        most_cols = int(budget_bytes / column_bytes / rows_per_tile)
+        cols_in_memory = max(most_cols // multiple, 1) * multiple
+        cols_per_tile = max(min(cols_in_memory, 4 * rows_per_tile), rows_per_tile)
+        return tiles_of((rows, cols), (rows_per_tile, cols_per_tile))
 
 
 def join_tiles(tile_fields: Iterable[tuple[Tile, Floats]], out: Floats) -> Floats:
@@ -166,7 +158,7 @@ class Guide(NamedTuple):
         """Return the guide of a tile."""
         return Guide(*(field[tile.rows, tile.cols] for field in self))
 
-    def faces(self, depth: int, *, from_high: bool) -> tuple[Floats, Floats]:
+    def faces(self, depth: int, *, from_high: bool) -> TwoFields:
         """Depth of the outer and of the opposite face, counted from the end that is read from."""
         outer, opposite = (self.high, self.low) if from_high else (self.low, self.high)
         return (depth - 1 - outer, depth - 1 - opposite) if from_high else (outer, opposite)
@@ -175,25 +167,32 @@ class Guide(NamedTuple):
 def make_guide(coarse_sheet: CoarseSheet, columns: Columns) -> Guide:
     """Bring the coarse sheet to single columns."""
     shape, pitch = columns.shape[:2], columns.pitch
-    low, high = (
-        to_columns(field, coarse_sheet.block, shape)
-        for field in (coarse_sheet.low, coarse_sheet.high)
-    )
-    smoothed_um = gaussian_regression(
-        0.5 * (low + high) * pitch[2],
-        pitch[:2],
-        cutoff_um=max(
-            8 * coarse_sheet.block * max(pitch[:2]), 2 * float(np.nanmedian(high - low)) * pitch[2]
-        ),
-    )
+    low = to_columns(coarse_sheet.low, coarse_sheet.block, shape)
+    high = to_columns(coarse_sheet.high, coarse_sheet.block, shape)
+    middle_um = 0.5 * (low + high) * pitch[2]
+    block_um = coarse_sheet.block * max(pitch[:2])
+    typical_px = float(np.nanmedian(high - low))
+    cutoff_um = max(8 * block_um, 2 * typical_px * pitch[2])
+    smoothed_um = gaussian_regression(middle_um, pitch[:2], cutoff_um=cutoff_um)
     slopes = np.gradient(smoothed_um, *pitch[:2])
     cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-    rise_px = [s * p / columns.step / pitch[2] for s, p in zip(slopes, pitch[:2], strict=True)]
-    slope_r, slope_c, cos_tilt = (
-        np.where(np.isfinite(a), a, b)
-        for a, b in ((rise_px[0], 0.0), (rise_px[1], 0.0), (cosine, 1.0))
+    rise_r, rise_c = rises_px(slopes, pitch[:2], columns)
+    return Guide(
+        low=low,
+        high=high,
+        slope_r=_where_known(rise_r, 0.0),
+        slope_c=_where_known(rise_c, 0.0),
+        cos_tilt=_where_known(cosine, 1.0),
     )
-    return Guide(low=low, high=high, slope_r=slope_r, slope_c=slope_c, cos_tilt=cos_tilt)
+
+
+def rises_px(slopes: Iterable[Floats], pitch_um: Pair, columns: Columns) -> list[Floats]:
+    """Rise of a sheet, in voxels, from one voxel row and from one voxel column to the next."""
+    return [s * p / columns.step / columns.pitch[2] for s, p in zip(slopes, pitch_um, strict=True)]
+
+
+def _where_known(field: Floats, otherwise: float) -> Floats:
+    return np.where(np.isfinite(field), field, otherwise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,14 +209,12 @@ class GreyScale:
         """Columns around a tile that are read with it."""
         return int(np.ceil(3 * self.blend_sd)) if self.blend_sd else 0
 
-    def grown(self, tile: Tile, shape: tuple[int, int]) -> Tile:
+    def grown(self, tile: Tile, shape: Shape2D) -> Tile:
         """Return the tile with its halo, as far as the grid reaches."""
         return tile.grown(self.halo, self.halo, shape)
 
 
-def oriented(
-    columns: Columns, tile: Tile, guide: Guide, scale: GreyScale
-) -> tuple[NDArray[np.float32], Guide]:
+def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> tuple[Singles, Guide]:
     """Return the grey above the air of a tile's columns, and its guide from that of the grown tile.
 
     The grey is (rows, cols, depth).
@@ -232,21 +229,15 @@ def oriented(
     return np.ascontiguousarray(grey[tile_within.rows, tile_within.cols]), guide.part(tile_within)
 
 
-def blended(
-    grey: NDArray[np.float32], guide: Guide, scale: GreyScale, step: int
-) -> NDArray[np.float32]:
+def blended(grey: Singles, guide: Guide, scale: GreyScale, step: int) -> Singles:
     """Average the columns of ``grey`` (rows, cols, depth) with their neighbours, in place."""
     if not scale.halo:
         return grey
     weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend_sd) ** 2)
     weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
-    along_rows, rise_r, rise_c = (
-        np.empty_like(grey),
-        guide.slope_r * step,
-        guide.slope_c * step,
-    )
-    _kernels.blend(grey, rise_r, weights, 1, 0, along_rows)
-    _kernels.blend(along_rows, rise_c, weights, 0, 1, grey)
+    along_rows = np.empty_like(grey)
+    _kernels.blend(grey, guide.slope_r * step, weights, 1, 0, along_rows)
+    _kernels.blend(along_rows, guide.slope_c * step, weights, 0, 1, grey)
     return grey
 
 
@@ -342,37 +333,37 @@ class Priors:
         The grey level of a coating that is not there is NaN.
         """
         air_grey, polarity, edge = self.scale.air_grey, self.scale.polarity, self.edge
-        by_name = {
-            "top": self.sides[frame.top == "high"],
-            "bottom": self.sides[frame.top == "low"],
-        }
-        of_coatings: dict[str, Any] = {}
-        for name, side in by_name.items():
+        coating_greys: Entries = {}
+        level_errors: Entries = {}
+        deepenings: Entries = {}
+        for name in SIDES:
+            side = self.sides[name == frame.side_at(from_high=True)]
             grey = polarity * side.level[2] + air_grey if side.coated else np.nan
-            of_coatings[f"grey_coating_{name}"] = float(grey)
-        for name, side in by_name.items():
+            coating_greys[f"grey_coating_{name}"] = float(grey)
             if side.coated and side.level_error:
-                of_coatings[f"grey_coating_{name}_error"] = side.level_error
-        for name, side in by_name.items():
+                level_errors[f"grey_coating_{name}_error"] = side.level_error
             if side.lone is not None:
                 deepening = [side.lone.deepening, side.lone.deepening_error]
-                of_coatings[f"coating_deepens_{name}"] = deepening
-        of_covers: dict[str, float] = {}
+                deepenings[f"coating_deepens_{name}"] = deepening
+        covers_um: dict[str, float] = {}
         for from_high, cover_px in self.covers_px.items():
             if cover_px:
-                name = "top" if from_high == (frame.top == "high") else "bottom"
-                of_covers[f"cover_{name}_um"] = cover_px * pitch_um
+                name = frame.side_at(from_high=from_high)
+                covers_um[f"cover_{name}_um"] = cover_px * pitch_um
+        blur_um = edge.width * pitch_um if self.is_blur_known else float("nan")
         return {
             "grey_air": air_grey,
             "grey_base": polarity * self.base_level + air_grey,
-            **of_coatings,
+            **coating_greys,
+            **level_errors,
+            **deepenings,
             "grey_noise": self.noise,
             "grey_noise_single": self.single_noise,
             "averaged_columns": self.scale.blend_sd,
             "base_texture_um": self.base_texture * pitch_um,
             "polarity": polarity,
-            "blur_um": edge.width * pitch_um if self.is_blur_known else float("nan"),
+            "blur_um": blur_um,
             "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
-            **of_covers,
+            **covers_um,
         }

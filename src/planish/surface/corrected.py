@@ -1,11 +1,9 @@
 """Surfaces with corrections, and the surfaces as they were found before them."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import InputError
 from planish.core.facts import SIDES, Side
@@ -13,7 +11,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine
-from planish.core.typing import Floats
+from planish.core.typing import Array, Entries, Floats, Window
 from planish.surface.assemble import centre_surface
 from planish.surface.draw import RING_UM, Drawing, columns_of
 from planish.surface.params import Corrections, Stretch, SurfaceParams
@@ -102,8 +100,8 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
 
 
 def preview_faces(
-    surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, part: tuple[slice, slice]
-) -> tuple[tuple[slice, slice], dict[Side, Floats]] | None:
+    surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, part: Window
+) -> tuple[Window, dict[Side, Floats]] | None:
     """Draw the faces in a part of the columns as corrections would; only what is near it is read.
 
     Parameters
@@ -130,19 +128,13 @@ def preview_faces(
             near_boxes.append(box)
     if not near_stretches:
         return None
-    rows, cols = (
-        slice(min(k.start for k in sides), max(k.stop for k in sides))
-        for sides in zip(*near_boxes, strict=True)
-    )
+    rows, cols = map(_hull, zip(*near_boxes, strict=True))
     frame = Frame.of(surfaces)
     step = columns_of(surfaces, volume).step
     near_surfaces = uncorrected(surfaces.isel(y=rows, x=cols).load())
-    near_volume = volume.isel(
-        {
-            axis: slice(k.start * step, k.stop * step)
-            for axis, k in ((frame.rows, rows), (frame.cols, cols))
-        }
-    )
+    voxel_rows = slice(rows.start * step, rows.stop * step)
+    voxel_cols = slice(cols.start * step, cols.stop * step)
+    near_volume = volume.isel({frame.rows: voxel_rows, frame.cols: voxel_cols})
     near_corrections = corrections.model_copy(update={"stretches": tuple(near_stretches)})
     heights = Drawing(near_surfaces, near_volume, near_corrections, Engine(threads=1)).heights
     is_crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
@@ -155,7 +147,8 @@ def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
     frame = Frame.of(surfaces)
     margin_um = 1.5 * stretch.reach_um + 2 * RING_UM
     box: list[slice] = []
-    for dim, axis, step_um in zip("yx", (frame.rows, frame.cols), pitch(surfaces), strict=True):
+    axes = frame.rows, frame.cols
+    for dim, axis, step_um in zip("yx", axes, pitch(surfaces), strict=True):
         points_um = [float(getattr(point, axis)) for point in stretch.points]
         columns_um = surfaces[dim].values
         first_um = float(columns_um[0])
@@ -163,6 +156,10 @@ def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
         last = int((max(points_um) + margin_um - first_um) // step_um) + 2
         box.append(slice(first, max(min(last, columns_um.size), first + 1)))
     return box
+
+
+def _hull(slices: Sequence[slice]) -> slice:
+    return slice(min(s.start for s in slices), max(s.stop for s in slices))
 
 
 def _overlap(first: Sequence[slice], second: Sequence[slice]) -> bool:
@@ -179,7 +176,7 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
     is_changed = (drawn.how["top"] > 0) | (drawn.how["bottom"] > 0)
     # Where the two faces would change places nothing is drawn.
     is_changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
-    corrected: dict[str, NDArray[Any]] = {
+    corrected: dict[str, Array] = {
         name: np.where(is_changed, drawn.heights[name], surfaces[name].values) for name in _HEIGHTS
     }
     status = surfaces["status"].values
@@ -187,7 +184,7 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
     is_repaired &= is_changed & np.isfinite(corrected["top"]) & np.isfinite(corrected["bottom"])
     corrected["status"] = np.where(is_repaired, np.uint8(Status.MEASURED), status)
     corrected["centre"] = _moved_centre(surfaces, corrected, params)
-    variables: dict[str, Any] = {}
+    variables: Entries = {}
     for name, field in corrected.items():
         variables[name] = surfaces[name].copy(data=field)
         original = surfaces[name].values
@@ -215,14 +212,14 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
 
 
 def _moved_centre(
-    surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], params: SurfaceParams
+    surfaces: xr.Dataset, corrected: dict[str, Array], params: SurfaceParams
 ) -> Floats:
     """Centre surface, moved as far as the smoothing of corrected faces reaches."""
     original = {name: surfaces[name].values for name in (*SIDES, "status")}
-    face_means = [
-        np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
-        for faces in (original, corrected)
-    ]
+    face_means: list[Floats] = []
+    for faces in (original, corrected):
+        middle = 0.5 * (faces["top"] + faces["bottom"])
+        face_means.append(np.where(faces["status"] == Status.MEASURED, middle, np.nan))
     centre = surfaces["centre"].values
     steps_um = pitch(surfaces)
     is_missing = np.isnan(face_means[0]) & np.isnan(face_means[1])

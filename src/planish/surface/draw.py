@@ -7,6 +7,7 @@ weighted by its variance.
 
 import hashlib
 from itertools import pairwise
+from operator import attrgetter
 
 import numpy as np
 import xarray as xr
@@ -19,9 +20,9 @@ from planish.core.frame import Frame
 from planish.core.grid import blur_reach_um, pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats, Pair, Window
+from planish.core.typing import Bools, Floats, Ints, Pair, TwoFields, Window
 from planish.surface import _draw_kernels
-from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented
+from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented, rises_px
 from planish.surface.params import Corrections, Stretch
 from planish.surface.sample import subsample
 
@@ -55,15 +56,14 @@ class Patch:
     """
 
     def __init__(
-        self, lateral_um: tuple[Floats, Floats], points: Floats, reach_um: float, voxel_um: float
+        self, lateral_um: TwoFields, points: Floats, reach_um: float, voxel_um: float
     ) -> None:
         self.points = points
         self.voxel_um = voxel_um
         self.reach_um = reach_um
         self.far_um = reach_um + max(RING_UM, 0.5 * reach_um)
-        rows, cols = (
-            self._slice_near(um, places) for um, places in zip(lateral_um, points.T, strict=False)
-        )
+        rows = self._slice_near(lateral_um[0], points[:, 0])
+        cols = self._slice_near(lateral_um[1], points[:, 1])
         self.window: Window = rows, cols
         grid = np.meshgrid(lateral_um[0][rows], lateral_um[1][cols], indexing="ij")
         self.grid = np.stack(grid, axis=-1)
@@ -82,7 +82,7 @@ class Patch:
         pitch: Pair,
         *,
         uses_points: bool = False,
-    ) -> tuple[Floats, Floats] | None:
+    ) -> TwoFields | None:
         """Krige a field and its error where wanted, from trusted places and from the points."""
         rows, cols = subsample(np.argwhere(is_trusted), 160).T
         points = self.points if uses_points else self.points[:0]
@@ -90,9 +90,8 @@ class Patch:
         if not (heights.size and is_wanted.any()):
             return None
         lag_um = max(0.25 * self.reach_um, 2 * max(pitch))
-        slope = variogram_slope(
-            np.where(is_trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2
-        )
+        trusted = np.where(is_trusted, field, np.nan)
+        slope = variogram_slope(trusted, pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
         return krige(
             self.grid[is_wanted],
             places=np.concatenate([points[:, :2], self.grid[rows, cols]]),
@@ -143,17 +142,15 @@ class Drawing:
     def _guide(self, centre: Floats) -> Guide:
         """Slopes and tilt of the sheet, from its centre surface."""
         slopes = np.nan_to_num(np.gradient(centre, *self.pitch))
-        rise_r, rise_c = (
-            slope * p / self.columns.step / self.voxel_um
-            for slope, p in zip(slopes, self.pitch, strict=True)
-        )
+        rise_r, rise_c = rises_px(slopes, self.pitch, self.columns)
+        cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         no_depth = np.full(centre.shape, np.nan)
         return Guide(
             low=no_depth,
             high=no_depth,
             slope_r=rise_r,
             slope_c=rise_c,
-            cos_tilt=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2),
+            cos_tilt=cosine,
         )
 
     def _draw(self, stretch: Stretch, face: Side) -> None:
@@ -201,9 +198,7 @@ class Drawing:
         InputError if one lies outside the columns.
         """
         axes = self.columns.axes
-        points = np.array(
-            [[getattr(point, axis) for axis in axes] for point in stretch.of(face)], np.float64
-        )
+        points = np.array([*map(attrgetter(*axes), stretch.of(face))], np.float64)
         coords_um = (*self.lateral_um, self.columns.depth_um)
         for axis, um, points_um in zip(axes, coords_um, points.T, strict=True):
             is_outside = (points_um < um[0] - 1e-6) | (points_um > um[-1] + 1e-6)
@@ -219,9 +214,7 @@ class Drawing:
     def _measured(self, face: Side, window: Window) -> Floats:
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
-    def _redraw(
-        self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]
-    ) -> None:
+    def _redraw(self, face: Side, window: Window, is_redrawn: Bools, expected: TwoFields) -> None:
         """Move a face to where it is expected, or between that and an edge in the image."""
         height, error = expected
         interface = self.heights[f"interface_{face}"]
@@ -295,7 +288,7 @@ class Drawing:
         face: Side,
         window: Window,
         is_searched: Bools,
-        expected: tuple[Floats, Floats],
+        expected: TwoFields,
         second_edge: Floats,
         *,
         is_relative: bool,
@@ -316,13 +309,9 @@ class Drawing:
         fringe_px = attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         # The noise; the least step, and how much it gains: an edge of five standard errors; the
         # fringe.
-        search_options = (
-            max(noise, _MISFIT * self.contrast),
-            max(min_step, 4 * noise),
-            25.0,
-            attrs.get("fringe", 0.0),
-            blur_px / fringe_px,
-        )
+        misfit = max(noise, _MISFIT * self.contrast)
+        fringe = attrs.get("fringe", 0.0), blur_px / fringe_px
+        search_options = misfit, max(min_step, 4 * noise), 25.0, *fringe
 
         def job(tile: Tile) -> EdgeJob:
             in_tile = _in_tile(column_indices, tile)
@@ -339,9 +328,8 @@ class Drawing:
         self.tiles.update(tiles)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of
         # these.
-        request = hashlib.sha256(
-            b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge))
-        )
+        asked_for = *column_indices, *expected, second_edge
+        request = hashlib.sha256(b"".join(a.tobytes() for a in asked_for))
         step = f"drawn-{request.hexdigest()[:16]}"
         depths = np.full(column_indices.shape[1], np.nan)
         for tile, tile_depths in self.engine.map(step, _search_edges, job, tiles):
@@ -353,7 +341,7 @@ class Drawing:
 
 EdgeJob = tuple[
     tuple[Columns, Guide, GreyScale, bool, float],
-    NDArray[np.intp],
+    Ints,
     Floats,
     tuple[bool, float],
     tuple[float, ...],
@@ -363,9 +351,10 @@ columns of the edges; for each the depth expected, its error, how far from it an
 the other depth; options of the search."""
 
 
-def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
+def _in_tile(places: Ints, tile: Tile) -> Bools:
     rows, cols = places
-    return (rows >= tile.r0) & (rows < tile.r1) & (cols >= tile.c0) & (cols < tile.c1)
+    in_rows = (rows >= tile.r0) & (rows < tile.r1)
+    return in_rows & (cols >= tile.c0) & (cols < tile.c1)
 
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
@@ -399,7 +388,7 @@ def _length(vectors: Floats) -> Floats:
 
 def krige(
     targets: Floats, *, places: Floats, heights: Floats, variances: Floats, slope: float
-) -> tuple[Floats, Floats]:
+) -> TwoFields:
     """Return height and its standard error at targets, from heights known at places.
 
     The targets are (m, 2), the heights (n,), and the places (n, 2) in um.
@@ -431,7 +420,8 @@ def krige(
         semivariances = np.ones((len(points), n + 1))
         semivariances[:, :n] = -semivariance(points)
         weights = semivariances @ inverse
-        height[chunk] = weights[:, :n] @ residuals + plane[0] + (points - centroid) @ plane[1:]
+        offsets = points - centroid
+        height[chunk] = weights[:, :n] @ residuals + plane[0] + offsets @ plane[1:]
         error[chunk] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
     return height, error
 

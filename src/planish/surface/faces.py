@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 from itertools import repeat
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,9 @@ from planish.core.grid import at_index, filled
 from planish.core.robust import mad_sd, masked_gaussian
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Ints, Singles, TwoFields
 from planish.surface import _fit_kernels
-from planish.surface.columns import WALL_UM, Columns, Guide, Priors, join_tiles, oriented
+from planish.surface.columns import WALL_UM, Columns, Guide, Pitch, Priors, join_tiles, oriented
 
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
@@ -22,7 +21,6 @@ _AROUND = 5  # columns along the edge of a neighbourhood
 # Faces this far apart, so many along an edge: a fibre of 40 um takes less than a fifth of them.
 _SPARSE_UM, _SPARSE_AROUND = 20.0, 11
 _LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
-Pitch = tuple[float, float, float]
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
 """Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given,
 only columns with a number, and those next to them, are fitted."""
@@ -182,7 +180,8 @@ def faces_from_depths(
             level_errors[side] = step_um * rms, step_um * float(np.nanmean(off))
         particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
         below_particle |= is_particle
-        inner = np.where(np.isfinite(outer) & coated[k], outer + depths[2 * k + 1], np.nan)
+        has_interface = np.isfinite(outer) & coated[k]
+        inner = np.where(has_interface, outer + depths[2 * k + 1], np.nan)
         for name, depth in ((side, outer), (f"interface_{side}", inner)):
             index = columns.shape[2] - 1 - depth if k == 0 else depth
             heights[name] = first_um + step_um * index
@@ -274,12 +273,13 @@ def _plates(outward: Floats, pitch: Pitch) -> tuple[NDArray[np.int32], Floats]:
     limit_px = max(_FLOATS - 0.5, 8.0 * mad_sd(top_hat[is_finite]))
     labels, count = ndimage.label(is_finite & (top_hat > limit_px))
     # A bump, or a fibre that lies on others with its ends, has no step all around.
-    ring_labels = np.where((labels == 0) & is_finite, ndimage.grey_dilation(labels, size=(9, 9)), 0)
+    widened = ndimage.grey_dilation(labels, size=(9, 9))
+    ring_labels = np.where((labels == 0) & is_finite, widened, 0)
     is_plate = _is_mostly(top_hat < 1.5, ring_labels, count)
     return np.where(is_plate[labels], labels, 0).astype(np.int32), opened
 
 
-def _top_hat(face: Floats, width_um: float, more: int, pitch: Pitch) -> tuple[Floats, Floats]:
+def _top_hat(face: Floats, width_um: float, more: int, pitch: Pitch) -> TwoFields:
     """How far narrow places stand out of a face, and the face outwards without them.
 
     Narrower than ``width_um`` and so many columns more. The face goes on beyond its border with the
@@ -289,8 +289,8 @@ def _top_hat(face: Floats, width_um: float, more: int, pitch: Pitch) -> tuple[Fl
     rows, cols = (max(int(width_um / p), 1) + more for p in pitch[:2])
     pad = [min(n, m - 1) for n, m in zip((rows, cols), face.shape, strict=True)]
     padded = np.pad(outward, [(n, n) for n in pad], mode="reflect", reflect_type="odd")
-    opened = ndimage.grey_opening(padded, size=(rows, cols))
-    opened = opened[pad[0] : pad[0] + face.shape[0], pad[1] : pad[1] + face.shape[1]]
+    within = tuple(slice(n, n + m) for n, m in zip(pad, face.shape, strict=True))
+    opened = ndimage.grey_opening(padded, size=(rows, cols))[within]
     return outward - opened, opened
 
 
@@ -339,7 +339,7 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
 
 
 def _wall_depths(
-    grey: NDArray[np.float32], start: Floats, stop: Floats, wall_level: float
+    grey: Singles, start: Floats, stop: Floats, wall_level: float
 ) -> tuple[Floats, Floats, Floats]:
     """Depth of the first wall, of the next one below a void, and how far the grey moves the first.
 
@@ -357,7 +357,7 @@ def _wall_depths(
 
 
 def fit_side(
-    grey: NDArray[np.float32],
+    grey: Singles,
     expected: tuple[Floats, Floats, Floats],
     priors: Priors,
     columns: Columns,
@@ -411,16 +411,17 @@ def outermost_crossing(
     return np.where(is_found, outside + crossing(grey, outside, level), np.nan)
 
 
-def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
+def first_where(mask: Bools, start: Array) -> Ints:
     """First index from ``start`` (...) on at which ``mask`` (..., depth) is set.
 
     The depth where there is none.
     """
-    candidates = mask & (np.arange(mask.shape[-1]) >= start[..., None])
-    return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), mask.shape[-1])
+    depth = mask.shape[-1]
+    candidates = mask & (np.arange(depth) >= start[..., None])
+    return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), depth)
 
 
-def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: float) -> Floats:
+def crossing(grey: NDArray[np.floating], first_sample: Ints, level: float) -> Floats:
     """Return the share of the way from one sample to the next at which level is passed.
 
     The samples are those of ``grey`` (..., depth).
@@ -429,4 +430,5 @@ def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: 
     a = at_index(grey, first_sample)
     b = at_index(grey, next_sample)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
+        share = np.clip((level - a) / (b - a), 0.0, 1.0)
+    return np.where(b != a, share, 0.5)

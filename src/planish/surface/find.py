@@ -146,14 +146,10 @@ def _search(
     priors = learn_priors(columns, guide, survey, params)
     air_grey = priors.scale.air_grey
     find_by_method = find_faces if params.method == "profile" else find_faces_by_slice
-    surfaces = assemble(
-        columns,
-        params,
-        find_by_method(columns, guide, priors, engine, survey.coarse.specks),
-        doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2]),
-        (air_grey, priors.scale.polarity * priors.base_level + air_grey),
-        engine,
-    )
+    faces = find_by_method(columns, guide, priors, engine, survey.coarse.specks)
+    doubt = doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2])
+    levels = air_grey, priors.scale.polarity * priors.base_level + air_grey
+    surfaces = assemble(columns, params, faces, doubt, levels, engine)
     attrs = surfaces.attrs
     attrs |= priors.attrs(columns.pitch[2], frame)
     attrs["missing_share"] = survey.missing_share

@@ -10,17 +10,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import filled
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Shape2D, Singles, TwoFields
 from planish.surface.alone import patches_of
 from planish.surface.coarse import CORE
 from planish.surface.columns import Columns, Guide, Priors, Side, blended, oriented
-from planish.surface.faces import fit_side, fit_tile, largest_step_px
+from planish.surface.faces import fit_job, fit_side, fit_tile, largest_step_px
 
 _COLUMNS = 2**15  # of the patches
 _CLASSES = 8  # of thickness, of as many columns each; fewer where they would be of chance
@@ -45,11 +44,8 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
     for errors in map_threads(_patch_errors, [(columns, guide, priors, p) for p in patches]):
         for from_high, values in errors.items():
             errors_of[from_high].append(values)
-    return {
-        from_high: _by_thickness(np.concatenate(values, axis=1))
-        for from_high, values in errors_of.items()
-        if sum(v.shape[1] for v in values) >= _LEAST
-    }
+    joined = {k: np.concatenate(values, axis=1) for k, values in errors_of.items() if values}
+    return {k: _by_thickness(values) for k, values in joined.items() if values.shape[1] >= _LEAST}
 
 
 def _by_thickness(values: Floats) -> Floats:
@@ -62,19 +58,17 @@ def _by_thickness(values: Floats) -> Floats:
     least_width = 2.0 * max(float(errors[1].std()), _NO_ERROR)
     classes = int(np.clip((thick - thin) / least_width, 1, _CLASSES))
     order = np.argsort(thickness, kind="stable")
-    return np.array(
-        [
-            [thickness[part].mean(), *np.sqrt(np.mean(errors[:, part] ** 2, axis=1))]
-            for part in np.array_split(order, classes)
-        ]
-    ).T
+    rows: list[list[float]] = []
+    for part in np.array_split(order, classes):
+        rms = np.sqrt(np.mean(errors[:, part] ** 2, axis=1))
+        rows.append([thickness[part].mean(), *rms])
+    return np.transpose(rows)
 
 
 def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     """Found thickness, and errors of face, thickness and interface, (4, columns) by side."""
     columns, guide, priors, patch = job
-    shape = columns.shape[:2]
-    depths = fit_tile((columns, guide.part(priors.scale.grown(patch, shape)), priors, None), patch)
+    depths = fit_tile(fit_job(columns, guide, priors, patch), patch)
     part = guide.part(patch)
     grey, _ = oriented(columns, patch, part, replace(priors.scale, blend_sd=0.0))
     width = priors.edge.width
@@ -82,35 +76,35 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
     # Film and other material beside the sheet are not made again.
     again = replace(priors, edge=replace(priors.edge, fringe=0.0), embedded_level=0.0)
     border = max(priors.scale.halo, int(3.0 * max(sd_px)) + 1)
+    inside = (slice(border, -border),) * 2
     errors: dict[bool, Floats] = {}
     for k, from_high in enumerate((True, False)):
         face, thickness = depths[2 * k : 2 * k + 2]
-        is_known = np.isfinite(face) & np.isfinite(thickness)
-        is_known[:border], is_known[-border:] = False, False
-        is_known[:, :border], is_known[:, -border:] = False, False
+        is_known = np.zeros(face.shape, dtype=bool)
+        is_known[inside] = (np.isfinite(face) & np.isfinite(thickness))[inside]
         if not priors.sides[from_high].coated or not is_known.any():
             continue
         outer, opposite = part.faces(grey.shape[2], from_high=from_high)
-        at_outer, at_opposite, cos_tilt = (
-            np.ascontiguousarray(a) for a in (outer, opposite, part.cos_tilt)
-        )
         inward = grey[..., ::-1] if from_high else grey
-        layers = (
-            _sharpened(filled(face), sd_px),
-            _sharpened(filled(face) + filled(thickness), sd_px),
-        )
+        interface = filled(face) + filled(thickness)
+        layers = _sharpened(filled(face), sd_px), _sharpened(interface, sd_px)
         remade = _remade(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
         stored = np.ascontiguousarray(remade[..., ::-1] if from_high else remade)
         remade = blended(stored, part, priors.scale, columns.step)
-        fit = fit_side(remade, (at_outer, at_opposite, cos_tilt), again, columns, from_high)
-        true = [ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers]
-        off = [fit[0] - true[0], fit[1] - true[1] + true[0], fit[0] + fit[1] - true[1]]
-        is_known &= np.isfinite(fit[1])
+        fit = fit_side(remade, (outer, opposite, part.cos_tilt), again, columns, from_high)
+        true_face, true_interface = (
+            ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers
+        )
+        fit_face, fit_thickness = fit[:2]
+        off_thickness = fit_thickness - true_interface + true_face
+        off_interface = fit_face + fit_thickness - true_interface
+        off = fit_face - true_face, off_thickness, off_interface
+        is_known &= np.isfinite(fit_thickness)
         # A face that stands so far off is left out as a spike. A fit that took a light place of the
         # core for coating is astray: no standard error tells of it.
         for error in off[:2]:
             is_known &= np.abs(error) <= largest_step_px(error[is_known], columns.pitch[2])
-        errors[from_high] = np.stack([fit[1], *off])[:, is_known]
+        errors[from_high] = np.stack([fit_thickness, *off])[:, is_known]
     return errors
 
 
@@ -120,28 +114,29 @@ def _sharpened(layer: Floats, sd_px: list[float]) -> Floats:
 
 
 def _remade(
-    inward: NDArray[np.float32],
-    layers: tuple[Floats, Floats],
-    expected: tuple[Floats, Floats],
+    inward: Singles,
+    layers: TwoFields,
+    expected: TwoFields,
     priors: Priors,
     from_high: bool,
     sd_px: list[float],
-) -> NDArray[np.float32]:
+) -> Singles:
     """Grey of a coating between two layers, as the scan would show it."""
     depth = np.arange(inward.shape[2])
     # The blur that was found has the voxel in it, and so do the shares of the voxels below.
     depth_sd_px = np.sqrt(max(sd_px[2] ** 2 - 1.0 / 12.0, 0.0))
+    blur_px = [*sd_px[:2], depth_sd_px]
+    shares = (np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0) for layer in layers)
     below_face, base = (
-        ndimage.gaussian_filter(
-            np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0).astype(np.float32),
-            [*sd_px[:2], depth_sd_px],
-        )
-        for layer in layers
+        ndimage.gaussian_filter(share.astype(np.float32), blur_px) for share in shares
     )
     # To and fro through the core, of which every depth of the base is made.
-    outer, thickness = filled(expected[0])[..., None], filled(expected[1] - expected[0])[..., None]
-    first, length = outer + CORE[0] * thickness, np.maximum((CORE[1] - CORE[0]) * thickness, 3.0)
-    core_index = np.rint(first + np.abs((depth - first) % (2.0 * length) - length)).astype(int)
+    outer = filled(expected[0])[..., None]
+    thickness = filled(expected[1] - expected[0])[..., None]
+    first = outer + CORE[0] * thickness
+    length = np.maximum((CORE[1] - CORE[0]) * thickness, 3.0)
+    from_first = np.abs((depth - first) % (2.0 * length) - length)
+    core_index = np.rint(first + from_first).astype(int)
     core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
     coating_grey = _coating_grey(priors.sides[from_high], inward.shape[:2])[..., None]
     remade = coating_grey * (below_face - base) + core * base
@@ -153,7 +148,7 @@ def _remade(
     return remade.astype(np.float32, copy=False)
 
 
-def _coating_grey(side: Side, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _coating_grey(side: Side, shape: Shape2D) -> Singles:
     """Grey of a coating that differs from place to place as far as it was seen to."""
     grey = np.full(shape, side.level[2], dtype=np.float32)
     if side.lone is not None and side.lone.spread > 0:
@@ -163,12 +158,11 @@ def _coating_grey(side: Side, shape: tuple[int, int]) -> NDArray[np.float32]:
     return grey
 
 
-def _air(
-    inward: NDArray[np.float32], expected: tuple[Floats, Floats], search_px: float
-) -> NDArray[np.float32]:
+def _air(inward: Singles, expected: TwoFields, search_px: float) -> Singles:
     """Air on that side of the sheet that has the more even one: on the other a film may lie."""
     outside = int(np.nanmin(expected[0]) - search_px)
     beyond = int(np.nanmin(inward.shape[2] - 1 - expected[1]) - search_px)
-    sides = [inward[..., : max(outside, 0)], inward[..., ::-1][..., : max(beyond, 0)]]
-    enough = [air for air in sides if air.shape[2] >= _LEAST_AIR]
+    air_outside = inward[..., : max(outside, 0)]
+    air_beyond = inward[..., ::-1][..., : max(beyond, 0)]
+    enough = [air for air in (air_outside, air_beyond) if air.shape[2] >= _LEAST_AIR]
     return min(enough, key=np.nanstd, default=inward[..., :0])

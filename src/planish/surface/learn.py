@@ -11,13 +11,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 from scipy.special import ndtri
 
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
-from planish.core.typing import Floats, Ints
+from planish.core.typing import Array, Floats, Ints, Pair, Singles
 from planish.surface import _fit_kernels
 from planish.surface.alone import RADII, lone_greys
 from planish.surface.coarse import CORE
@@ -104,7 +103,7 @@ def _with_coating(side: Side, grey: float, sd: float, lone: LoneGrey | None = No
     return replace(side, level=level, spread=spread, lone=lone)
 
 
-def _grey_at(grey: NDArray[np.float32], depth_index: Ints) -> NDArray[Any]:
+def _grey_at(grey: Singles, depth_index: Ints) -> Array:
     """Grey (n, depth) at depths (n, m), or at the end of the column."""
     return np.take_along_axis(grey, np.clip(depth_index, 0, grey.shape[1] - 1), axis=1)
 
@@ -222,8 +221,8 @@ class _Learner(Sampler):
             fit_thin(self.quiet(self.sample_of, self.edge.width), thin_sides)
             # How far a grey goes beyond what was seen of it is known to a half.
             for k in thin_sides:
-                beyond_seen = abs(float(self.sides[k].level[2]) - float(seen_sides[k].level[2]))
-                self.level_errors[k] = 0.5 * beyond_seen
+                beyond_seen = self.sides[k].level[2] - seen_sides[k].level[2]
+                self.level_errors[k] = 0.5 * abs(float(beyond_seen))
         return thick_sides
 
     def _unknown_sides(self) -> list[bool]:
@@ -246,7 +245,7 @@ class _Learner(Sampler):
     def _coated_levels(self) -> list[float]:
         return [float(side.level[2]) for side in self.sides.values() if side.coated]
 
-    def _base(self, sample: Sample) -> tuple[float, float]:
+    def _base(self, sample: Sample) -> Pair:
         """Level of the base above the air, and how much it varies from place to place."""
         core_grey = self._core_grey(sample)
         level = float(np.median(core_grey))
@@ -274,7 +273,8 @@ class _Learner(Sampler):
         """
         sample = self.sample_of[True]
         middle = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)
-        grey = _grey_at(sample.grey[0], middle[:, None] + np.arange(-3, 3)).astype(np.float64)
+        core_index = middle[:, None] + np.arange(-3, 3)
+        grey = _grey_at(sample.grey[0], core_index).astype(np.float64)
         outer, inner = grey.reshape(-1, 2, 3).mean(axis=2).T
         difference = inner - outer
         difference = difference[np.isfinite(difference)]
@@ -330,7 +330,7 @@ class _Learner(Sampler):
         undershoot = 0.0 if self.embedded_level else max(-float(profile[:_OUTSIDE].min()), 0.0)
         return profile[_OUTSIDE:], undershoot
 
-    def _start(self, grey: NDArray[np.float32], expected: float) -> int:
+    def _start(self, grey: Singles, expected: float) -> int:
         """First sample of a column that is no air; not above 0 for none."""
         search_px = self.search_px
         if self.embedded_level:
@@ -394,7 +394,8 @@ class _Learner(Sampler):
         shift = 0.0
         if 0 < best_index < costs.size - 1 and np.isfinite(costs[best_index + 1]):
             a, b, c = costs[best_index - 1 : best_index + 2]
-            shift = np.clip(0.5 * (a - c) / max(a - 2 * b + c, 1e-12), -1, 1)
+            curvature = max(a - 2 * b + c, 1e-12)
+            shift = np.clip(0.5 * (a - c) / curvature, -1, 1)
         factor = np.exp(shift * np.log(_WIDTHS[1] / _WIDTHS[0]))
         self.edge = Edge(width=float(_WIDTHS[best_index] * factor), fringe=fringe)
 
@@ -471,8 +472,9 @@ class _Learner(Sampler):
         samples = int(thickness + 6.0 * width) + 2
         point = np.array([3.0 * width, thickness, *side.level[2:]])
         matrix = np.zeros((4, 4))
+        no_grey = np.zeros(samples, np.float32)
         _fit_kernels.evaluate(
-            np.zeros(samples, np.float32),
+            no_grey,
             0,
             samples - 1,
             0.0,
@@ -564,16 +566,16 @@ class _Learner(Sampler):
         misfit = self._misfit(samples, thin_sides, _WINDOW * max(width, 1.0))
 
         def trial_of(vector: Floats) -> tuple[Edge, Sides]:
-            fringed_edge = Edge(
-                width=width * float(np.exp(vector[0])),
-                fringe=max(float(vector[1]), 0.0),
-                fringe_width=FRINGE_PX * float(np.exp(vector[2])),
-            )
+            blur_px = width * float(np.exp(vector[0]))
+            fringe = max(float(vector[1]), 0.0)
+            fringe_px = FRINGE_PX * float(np.exp(vector[2]))
+            fringed_edge = Edge(width=blur_px, fringe=fringe, fringe_width=fringe_px)
             return fringed_edge, _brighter(sides, thin_sides, vector[3:])
 
         def cost(vector: Floats) -> float:
             # Where the width of the fringe shows little it is the usual one.
-            penalty = (float(vector[2]) / 0.35) ** 2 + float(np.sum(vector[3:] ** 2))
+            width_penalty = (float(vector[2]) / 0.35) ** 2
+            penalty = width_penalty + float(np.sum(vector[3:] ** 2))
             return misfit(*trial_of(vector)) + 1e-4 * penalty + max(-float(vector[1]), 0.0)
 
         steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin_sides))
@@ -609,18 +611,19 @@ class _Learner(Sampler):
 
         # Brighter layers with a wider blur look nearly the same: the search goes along that valley
         # first.
-        optimum_of_share: dict[float, Any] = {
-            share: optimize.minimize_scalar(
+        least_cost = np.inf
+        start = np.zeros(1 + len(thin_sides))
+        for share in (0.0, 0.15, 0.3, 0.45, 0.6, 0.75):
+            optimum: Any = optimize.minimize_scalar(
                 cost_of_width,
                 args=(share,),
                 bounds=(-0.2, 0.6),
                 method="bounded",
                 options={"xatol": 0.01},
             )
-            for share in (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
-        }
-        share = min(optimum_of_share, key=lambda k: float(optimum_of_share[k].fun))
-        start = np.array([float(optimum_of_share[share].x), *[share] * len(thin_sides)])
+            if optimum.fun < least_cost:
+                least_cost = float(optimum.fun)
+                start = np.array([float(optimum.x), *[share] * len(thin_sides)])
         steps = np.diag([0.03, *[0.08] * len(thin_sides)])
         steps[0, 1:] = 0.08
         self.edge, self.sides = trial_of(_simplex(cost, start, steps, 80).x)
@@ -661,14 +664,10 @@ def _brighter(sides: Sides, thin_sides: list[bool], shares: Floats) -> Sides:
 def _simplex(
     cost: Callable[[Floats], float], start: Floats, steps: Floats, trials: int
 ) -> optimize.OptimizeResult:
+    corners = np.vstack([start, start + steps])
     return optimize.minimize(
         cost,
         start,
         method="Nelder-Mead",
-        options={
-            "initial_simplex": np.vstack([start, start + steps]),
-            "xatol": 2e-3,
-            "fatol": 1e-7,
-            "maxfev": trials,
-        },
+        options={"initial_simplex": corners, "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials},
     )

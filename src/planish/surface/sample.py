@@ -6,13 +6,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile
-from planish.core.typing import Floats, Ints
+from planish.core.typing import Floats, Ints, Singles
 from planish.surface import _fit_kernels
 from planish.surface.columns import (
     WALL_UM,
@@ -28,9 +27,8 @@ from planish.surface.survey import Survey
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
 _BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # columns
 _SEEN = 3.0  # below it no face is found with certainty, and columns are averaged at any rate
-_LEAST_BLEND = (
-    0.4  # columns: what is narrower gives a neighbour less than a twentieth of the weight
-)
+# Columns: what is narrower gives a neighbour less than a twentieth of the weight.
+_LEAST_BLEND = 0.4
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
 
 
@@ -40,7 +38,7 @@ class Sample(NamedTuple):
     They are (1, n, depth), with (1, n) expected faces, tilt and number of the row.
     """
 
-    grey: NDArray[np.float32]
+    grey: Singles
     outer: Floats
     opposite: Floats
     cos_tilt: Floats
@@ -56,9 +54,9 @@ Samples = dict[bool, Sample]  # by whether they are read from the high end
 
 def subsample(indices: Ints, max_count: int) -> Ints:
     """Take so many of an index (n, ...) at most, spread over all of it."""
-    return indices[
-        np.unique(np.linspace(0, len(indices) - 1, min(len(indices), max_count)).astype(int))
-    ]
+    count = len(indices)
+    places = np.linspace(0, count - 1, min(count, max_count)).astype(int)
+    return indices[np.unique(places)]
 
 
 class Sampler:
@@ -85,29 +83,25 @@ class Sampler:
         # multiples of the golden section.
         start_shares = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
         col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int).tolist()
-        self.rows = [
-            Tile(r, r + 1, c, c + col_count)
-            for r, c in zip(row_indices.tolist(), col_starts, strict=True)
-        ]
-        self.cache: dict[tuple[float, Tile], NDArray[np.float32]] = {}  # by the blending
+        starts = zip(row_indices.tolist(), col_starts, strict=True)
+        self.rows = [Tile(r, r + 1, c, c + col_count) for r, c in starts]
+        self.cache: dict[float, dict[Tile, Singles]] = {}  # grey of the rows, by the blending
 
     def _blend(self, blend_sd: float) -> None:
         self.scale = replace(self.scale, blend_sd=blend_sd)
 
-    def _read(self, tile: Tile, *, from_high: bool) -> NDArray[np.float32]:
+    def _read(self, tile: Tile, *, from_high: bool) -> Singles:
         scale = self.scale
         # The same columns are looked at several times: all are read.
-        if (scale.blend_sd, tile) not in self.cache:
+        if scale.blend_sd not in self.cache:
 
-            def read(tile: Tile) -> NDArray[np.float32]:
+            def read(tile: Tile) -> Singles:
                 guide = self.guide.part(scale.grown(tile, self.columns.shape[:2]))
                 return oriented(self.columns, tile, guide, scale)[0][0]
 
-            self.cache |= {
-                (scale.blend_sd, row): grey
-                for row, grey in zip(self.rows, map_threads(read, self.rows), strict=True)
-            }
-        grey = self.cache[scale.blend_sd, tile]
+            row_greys = map_threads(read, self.rows)
+            self.cache[scale.blend_sd] = dict(zip(self.rows, row_greys, strict=True))
+        grey = self.cache[scale.blend_sd][tile]
         return np.ascontiguousarray(grey[:, ::-1]) if from_high else grey
 
     def sample(self, *, from_high: bool) -> Sample:
@@ -181,15 +175,13 @@ class Sampler:
         if self.embedded_level:
             return float("nan")  # what lies beside is no air
         width_px = int(np.ceil(15.0 / self.columns.pitch[2]))  # from the face into the air
-        air_samples: list[NDArray[np.float32]] = []
+        air_samples: list[Singles] = []
         for tile in self.rows:
             for from_high in (True, False):
                 grey = self._read(tile, from_high=from_high)
                 outer = self.guide.part(tile).faces(grey.shape[1], from_high=from_high)[0][0]
-                first_index = (
-                    np.where(np.isfinite(outer), outer - self.search_px, -1.0).astype(int)
-                    - width_px
-                )
+                search_start = np.where(np.isfinite(outer), outer - self.search_px, -1.0)
+                first_index = search_start.astype(int) - width_px
                 for start_index in (first_index, first_index - width_px):
                     columns = np.flatnonzero(start_index >= 0)
                     air_samples.append(grey[columns, start_index[columns]])
@@ -200,12 +192,10 @@ class Sampler:
 
         They are averaged as far as the sheet's slope does not widen the blur.
         """
-        steep_slope = (
-            float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90))
-            * self.columns.step
-        )
-        # columns.
-        blend_sd, previous_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3)), self.scale.blend_sd
+        slope = np.hypot(self.guide.slope_r, self.guide.slope_c)
+        steep_slope = float(np.nanpercentile(slope, 90)) * self.columns.step
+        blend_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3))  # columns
+        previous_sd = self.scale.blend_sd
         if blend_sd <= max(previous_sd, 0.3):
             return samples
         self._blend(blend_sd)

@@ -4,7 +4,6 @@ It gives block means, a sample of its columns, levels, noise and gaps.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from planish.core.errors import VolumeError
 from planish.core.grid import at_index, first_and_last
 from planish.core.robust import mad_sd
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints, Shape2D, Singles, TwoFields
 from planish.surface._kernels import block_sums
 from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, search_sheet
@@ -70,9 +69,8 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
         blocks, sharp_blocks, air_grey, params, choice, scatter
     )
     min_contrast = 6.0 * mad_sd(end_grey)  # what is nowhere above that is air from end to end
-    empty_share = np.mean(
-        [~(polarity * (row - air_grey) > min_contrast).any(axis=1) for row in blocks]
-    )
+    rises = (polarity * (row - air_grey) for row in blocks)
+    empty_share = np.mean([~(rise > min_contrast).any(axis=1) for rise in rises])
     return Survey(
         coarse=coarse_sheet,
         air_grey=air_grey,
@@ -101,7 +99,7 @@ def survey_labels(
     return coarse_sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
-def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
+def _block(columns: Columns) -> tuple[int, Shape2D]:
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(
@@ -124,14 +122,14 @@ class _Reading:
     """What one reading of all columns leaves."""
 
     # (block rows, block cols, depth), of blocks; not finite where a voxel is not.
-    means: NDArray[np.float32]
+    means: Singles
     # Blocks with a voxel of the volume's first value, which may be that of the padding.
     holds_corner: Bools
-    profiles: NDArray[Any]  # (rows, cols, depth), of the sampled columns
+    profiles: Array  # (rows, cols, depth), of the sampled columns
     missing_share: float  # voxels that are NaN or infinite
     block: int
 
-    def blocks(self, padding: float | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def blocks(self, padding: float | None) -> tuple[Singles, Singles]:
         """Block means, smoothed and as they are, NaN for gaps."""
         means = self.means
         is_missing = ~np.isfinite(means)
@@ -150,19 +148,16 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
     rows, cols, depth = columns.shape
     block_shape = max(rows // block, 1), max(cols // block, 1), depth
     sample_shape = -(-rows // stride[0]), -(-cols // stride[1]), depth
-    fields: dict[str, NDArray[Any]] = {
+    fields: dict[str, Array] = {
         "means": np.empty(block_shape, np.float32),
         "holds_corner": np.empty(block_shape, bool),
         "profiles": np.empty(sample_shape, columns.volume.dtype),
     }
     missing_count = 0.0
     corner = float(columns.voxels(Tile(0, 1, 0, 1), slice(1))[0, 0, 0])
-    for tile, sums in engine.map(
-        "survey",
-        _read_tile,
-        lambda _tile: (columns, block, stride, corner),
-        _block_tiles(columns, engine, block),
-    ):
+    job = columns, block, stride, corner
+    tiles = _block_tiles(columns, engine, block)
+    for tile, sums in engine.map("survey", _read_tile, lambda _tile: job, tiles):
         for name, field in fields.items():
             steps = stride if name == "profiles" else (block, block)
             row, col = (-(-start // n) for start, n in zip(tile[::2], steps, strict=True))
@@ -185,7 +180,7 @@ def _block_tiles(columns: Columns, engine: Engine, block: int) -> list[Tile]:
     return tiles
 
 
-def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> NDArray[Any]:
+def _read_tile(job: tuple[Columns, int, Shape2D, float], tile: Tile) -> Array:
     """Part of a :class:`_Reading` that a tile gives, as one record.
 
     ``missing`` counts its missing voxels.
@@ -224,7 +219,7 @@ def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> 
     return record
 
 
-def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
+def _ends(profiles: Array, inside: Bools) -> Floats:
     """First and last three voxels of each column (n, depth) that lie inside the field of view.
 
     (2 n, 3).
@@ -240,17 +235,15 @@ def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
     return np.concatenate([profiles[rows[:, None], k].astype(np.float64) for k in ends])
 
 
-def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
+def _airy(ends: Floats, voxels: Floats, seed: Floats) -> TwoFields:
     """Where the columns' two ends differ, keep the one less like the object at the seed."""
     levels = [mode(half) for half in np.split(ends, [len(ends) // 2])]
     contrasts = [abs(level - float(np.median(seed))) for level in levels]
     if abs(levels[0] - levels[1]) < 0.1 * max(contrasts):
         return ends, voxels
     clearest_end = int(np.argmax(contrasts))
-    end_grey, end_voxels = (
-        np.split(part, [len(part) // 2])[clearest_end] for part in (ends, voxels)
-    )
-    return end_grey, end_voxels
+    end_grey = np.split(ends, [len(ends) // 2])[clearest_end]
+    return end_grey, np.split(voxels, [len(voxels) // 2])[clearest_end]
 
 
 def mode(values: Floats) -> float:
@@ -332,9 +325,8 @@ def _is_sharp(profiles: Floats, is_outside: Bools, first: Ints, padding: float) 
 def voxel_noise(ends: Floats, air: float) -> float:
     """Standard deviation of one voxel, from samples (n, 3) of neighbouring voxels in the air."""
     distance = np.abs(ends - air)
-    steps = np.diff(ends, axis=1)[
-        distance[:, :-1] <= max(float(np.nanpercentile(distance, 60)), 1e-12)
-    ]
+    most = max(float(np.nanpercentile(distance, 60)), 1e-12)
+    steps = np.diff(ends, axis=1)[distance[:, :-1] <= most]
     if not steps.size:
         return 0.0
     robust_sd = mad_sd(steps) / np.sqrt(2.0)
