@@ -182,7 +182,8 @@ def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
     """
     inside = np.zeros(grid.shape, dtype=bool)
     for (x, y), radius in zip(centres_um, radii_um, strict=True):
-        rows, cols = _within(grid.y_um, y, radius), _within(grid.x_um, x, radius)
+        rows = _within(grid.y_um, y, radius)
+        cols = _within(grid.x_um, x, radius)
         distance_um = np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y)
         inside[rows, cols] |= distance_um <= radius
     return inside

@@ -82,11 +82,8 @@ def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
 
     The last ones of an axis may be smaller.
     """
-    rows, cols = (
-        [(start, min(start + step, n)) for start in range(0, n, step)]
-        for n, step in zip(shape, size, strict=True)
-    )
-    return [Tile(*row_range, *col_range) for row_range, col_range in product(rows, cols)]
+    corners = product(range(0, shape[0], size[0]), range(0, shape[1], size[1]))
+    return [Tile(r, min(r + size[0], shape[0]), c, min(c + size[1], shape[1])) for r, c in corners]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -174,8 +174,10 @@ def relax_dynamically(
 
 def _difference_weights(mask: Floats) -> Floats:
     """Weights of the differences to the neighbours right, left, below and above (4, rows, cols)."""
-    left, right = np.roll(mask, 1, axis=1), np.roll(mask, -1, axis=1)
-    above, below = np.roll(mask, 1, axis=0), np.roll(mask, -1, axis=0)
+    left = np.roll(mask, 1, axis=1)
+    right = np.roll(mask, -1, axis=1)
+    above = np.roll(mask, 1, axis=0)
+    below = np.roll(mask, -1, axis=0)
     pairs = ((right, left), (left, right), (below, above), (above, below))
     return np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in pairs])
 

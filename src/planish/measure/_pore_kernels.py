@@ -25,7 +25,8 @@ def inscribed(distance, step):  # noqa: C901
                     continue
                 di = int(r / step[0])
                 dj = int(r / step[1])
-                first_col, last_col = max(j - dj, 0), min(j + dj, cols - 1)
+                first_col = max(j - dj, 0)
+                last_col = min(j + dj, cols - 1)
                 for a in range(max(i - di, 0), min(i + di, rows - 1) + 1):
                     left = r * r - ((a - i) * step[0]) ** 2
                     if left <= 0:

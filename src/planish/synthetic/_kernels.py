@@ -301,7 +301,8 @@ def lay_fibres(field, starts, angles, lengths, widths, curls):
                 continue
             px, py = cx, cy
             r = int(half) + 1
-            left, right = max(cx - r, 0), min(cx + r + 1, cols)
+            left = max(cx - r, 0)
+            right = min(cx + r + 1, cols)
             for i in range(max(cy - r, 0), min(cy + r + 1, rows)):
                 for j in range(left, right):
                     d2 = ((i - y) ** 2 + (j - x) ** 2) / (half * half)

@@ -107,7 +107,8 @@ class Structure:
             outer_blurred[..., 1:] = blurred[..., :-1]
             is_face = (blurred >= 0.5) & (outer_blurred < 0.5)
             k = is_face.argmax(axis=2)
-            inner, outer = at_index(blurred, k), at_index(outer_blurred, k)
+            inner = at_index(blurred, k)
+            outer = at_index(outer_blurred, k)
             crossing = k - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
             height = (n_cells - crossing if top else crossing) * self.cell_um + self.low_um
             face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)

@@ -115,7 +115,8 @@ def trimmed(slab: Slab, cut: int, axes: Shape) -> Slab:
     """Cut voxels off both ends of the axes."""
     if cut == 0:
         return slab
-    inner, whole = slice(cut, -cut), slice(None)
+    inner = slice(cut, -cut)
+    whole = slice(None)
     return slab[tuple(inner if axis in axes else whole for axis in range(slab.ndim))]
 
 

@@ -35,7 +35,7 @@ from planish.validate.scenario import (
     Scenario,
     Values,
     in_order,
-    known,
+    without_none,
 )
 from planish.validate.truth import Comparison, rms
 
@@ -219,10 +219,8 @@ def run_specimen(
             refusal = in_terminal_words(error.text).replace(f"{folder}{os.sep}", "")
             return Entry(seed=seed, values={}, refusal=refusal)
         progress("compare", "with the truth")
-        failed, looks = (
-            tuple(f"{check.name}: {check.sentence}" for check in run.results.checks_in(state))
-            for state in ("fail", "look")
-        )
+        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
+        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
         if scenario.second is not None:
             values = in_order(pair_errors(specimens, run))
             return Entry(seed=seed, values=values, failed=failed, looks=looks)
@@ -319,7 +317,7 @@ def sensitivity(
         raise InputError(
             f"The scenario {scenario.name} does not even come through without nuisances: {refusal}"
         )
-    measured = known(base_figures)
+    measured = without_none(base_figures)
     keys = _key_figures(measured)
     quiet = {stage: measured[name] for stage, name in keys.items()}
     rows: list[NuisanceRow] = []
@@ -374,7 +372,7 @@ def _nuisances_of(scenario: Scenario) -> list[str]:
 
 def _deviating_stages(ratio: Values) -> list[str]:
     """Stages whose single errors do not add up to the whole."""
-    return [stage for stage, r in known(ratio).items() if not 1 / _AGREES <= r <= _AGREES]
+    return [stage for stage, r in without_none(ratio).items() if not 1 / _AGREES <= r <= _AGREES]
 
 
 def _key_figures(measured: Container[str]) -> dict[str, str]:

@@ -24,8 +24,9 @@ def draw_expected(entries: Sequence[Entry]) -> Picture | None:
 
     None without a pair of them.
     """
-    names = ("predicted_rms", "tre_rms")
-    error_pairs = [tuple(entry.values.get(name) for name in names) for entry in entries]
+    error_pairs = [
+        (entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries
+    ]
     pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64)
     if not pairs.size:
         return None

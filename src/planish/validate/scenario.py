@@ -240,7 +240,7 @@ class Scenario(Params):
         return nuisances_of(self.params(0), instrument)
 
 
-def known(values: Mapping[str, float | None]) -> dict[str, float]:
+def without_none(values: Mapping[str, float | None]) -> dict[str, float]:
     """Those of some values that there are."""
     return {name: value for name, value in values.items() if value is not None}
 

@@ -10,7 +10,7 @@ from planish import __version__
 from planish.core.numbers import fixed, in_ascii, length, number, percent, unit
 from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import Certificate, Entry, LedgerLine, NuisanceRow, Sensitivity
-from planish.validate.scenario import FIGURES, STAGES, Figure, Values, known
+from planish.validate.scenario import FIGURES, STAGES, Figure, Values, without_none
 
 NONE = "-"
 STATES = {None: "", True: "met", False: "missed"}
@@ -207,7 +207,7 @@ def verdict(certificate: Certificate) -> str:
     lines = certificate.lines()
     if certificate.scenario.kind == "mesh":
         return _mesh_verdict(lines)
-    means = known({name: line.mean for name, line in lines.items()})
+    means = without_none({name: line.mean for name, line in lines.items()})
     if not means:
         return "The program gave no result on specimens like these."
     sentences = list[str]()
