@@ -128,18 +128,21 @@ def wrapped(text: str, width: int) -> str:
 
     Further lines of a paragraph are set in.
     """
+    width = max(width, _LEAST_WIDTH)
+    style = dict.fromkeys(("break_long_words", "break_on_hyphens", "replace_whitespace"), False)
     lines: list[str] = []
     for line in text.split("\n"):
         indent = line[: len(line) - len(line.lstrip())]
-        lines += textwrap.wrap(
-            _WITH_UNIT.sub(_GLUE, line),
-            max(width, _LEAST_WIDTH),
-            subsequent_indent=f"{indent}  ",
-            break_long_words=False,
-            break_on_hyphens=False,
-            replace_whitespace=False,
-        ) or [""]
+        glued = _WITH_UNIT.sub(_GLUE, line)
+        lines += textwrap.wrap(glued, width, subsequent_indent=f"{indent}  ", **style) or [""]
     return "\n".join(lines).replace(_GLUE, " ")
+
+
+def duration(seconds: float) -> str:
+    """Write a time, roughly."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -182,22 +185,23 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
 
 def _lines_of(columns: Sequence[str], row: Sequence[str]) -> Iterator[str]:
     """The name of a row, and a line for each of its values with its unit."""
-    has_unit = [
-        _NUMBER.fullmatch(cell) is not None and heading not in _UNITLESS
-        for heading, cell in zip(columns, row, strict=True)
-    ]
+    pairs = [*zip(columns, row, strict=True)]
     unit_of_row = ""
-    if "unit" in columns and any(has_unit):
-        unit_of_row = row[columns.index("unit")]
+    if any(_takes_unit(*pair) for pair in pairs):
+        unit_of_row = "".join(cell for heading, cell in pairs if heading == "unit")
     yield row[0]
-    for heading, cell, takes_unit in [*zip(columns, row, has_unit, strict=True)][1:]:
-        if not cell or (heading == "unit" and any(has_unit)):
+    for heading, cell in pairs[1:]:
+        if not cell or (heading == "unit" and unit_of_row):
             continue
         name, unit = _name_and_unit(heading)
-        if takes_unit:
+        if _takes_unit(heading, cell):
             unit = unit or unit_of_row
         is_written = unit not in ("", "1") and cell != "-"
         yield f"  {name}  {cell} {unit}" if is_written else f"  {name}  {cell}"
+
+
+def _takes_unit(heading: str, cell: str) -> bool:
+    return heading not in _UNITLESS and _NUMBER.fullmatch(cell) is not None
 
 
 def _name_and_unit(heading: str) -> tuple[str, str]:

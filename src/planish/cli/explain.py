@@ -45,11 +45,7 @@ def explain(run: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     model = explain_folder(run, params)
     if out is not None:
         write_explained(model, out, source=run.resolve().name)
-    show_answer(
-        model,
-        coefficient_tables(model),
-        [say_answer(model), *say_surer(model)],
-        page=out and out / "explain.html",
-        as_json=as_json,
-    )
+    sentences = [say_answer(model), *say_surer(model)]
+    page = out and out / "explain.html"
+    show_answer(model, coefficient_tables(model), sentences, page=page, as_json=as_json)
     return 0

@@ -179,9 +179,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
                 ome=ome,
                 executor=workers.executor,
                 workers=workers.at_once,
-                progress=lambda step, n_done, n_blocks: progress(
-                    step, f"block {n_done} of {n_blocks}"
-                ),
+                progress=lambda step, done, blocks: progress(step, f"block {done} of {blocks}"),
             )
     if correction is not None:
         from planish.correct import write_picture

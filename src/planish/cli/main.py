@@ -70,10 +70,8 @@ class LazyGroup(click.Group):
         """Import one verb."""
         if cmd_name not in _MODULES:
             return None
-        module = import_module(f"planish.cli.{_MODULES[cmd_name]}")
-        return cast(
-            "click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name)
-        )
+        module: Any = import_module(f"planish.cli.{_MODULES[cmd_name]}")
+        return getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the verbs with what their docstrings say.
@@ -84,18 +82,15 @@ class LazyGroup(click.Group):
         docstrings = dict[str, str | None]()
         for module in set(_MODULES.values()):
             tree = ast.parse((folder / f"{module}.py").read_text(encoding="utf-8"))
-            docstrings |= {
-                f.name: ast.get_docstring(f) for f in tree.body if isinstance(f, ast.FunctionDef)
-            }
-        verbs = [
-            click.Command(name, help=docstrings.get(f"{name}_") or docstrings[name])
-            for name in _MODULES
-        ]
+            functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+            docstrings |= {function.name: ast.get_docstring(function) for function in functions}
         limit = formatter.width - 6 - max(map(len, _MODULES))
+        rows: list[tuple[str, str]] = []
+        for name in _MODULES:
+            verb = click.Command(name, help=docstrings.get(f"{name}_") or docstrings[name])
+            rows.append((name, verb.get_short_help_str(limit)))
         with formatter.section("Commands"):
-            formatter.write_dl(
-                [(verb.name or "", verb.get_short_help_str(limit)) for verb in verbs]
-            )
+            formatter.write_dl(rows)
 
 
 _START_TEXT = """\
@@ -194,10 +189,8 @@ def _as_planish_error(error: Exception) -> PlanishError:
     ) as log:
         log.write(f"planish {__version__}\n")
         log.write("".join(traceback.format_exception(error)))
-    return PlanishError(
-        fault.text.replace(
-            "Please report it",
-            f"The details are in {Path(log.name)}, and 'planish doctor --report FILE' writes them"
-            " and the installation into one file to hand on. Please report it",
-        )
+    details_text = (
+        f"The details are in {Path(log.name)}, and 'planish doctor --report FILE' writes them"
+        " and the installation into one file to hand on."
     )
+    return PlanishError(fault.text.replace("Please report it", f"{details_text} Please report it"))

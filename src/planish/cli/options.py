@@ -6,6 +6,7 @@ Their groups in the help; how text becomes numbers.
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial, reduce
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -90,9 +91,9 @@ def with_commands(text: str, ctx: click.Context) -> str:
     root = ctx.find_root()
     words_by_command: dict[str, set[str]] = {}
     for name, command in _commands_in(root.command, root, "planish"):
-        words_by_command[f"'{name}'"] = words_of_command(command)
+        words = words_by_command[f"'{name}'"] = words_of_command(command)
         if name in text:  # it is said already
-            missing_names -= words_of_command(command)
+            missing_names -= words
     while missing_names:
         # The command with most of them, and the next one that has these as well.
         shared_names = max((missing_names & words for words in words_by_command.values()), key=len)
@@ -120,12 +121,9 @@ def _commands_in(
 
 def words_of_command(command: click.Command) -> set[str]:
     """Words of the options of a command."""
-    return {
-        flag.removeprefix("--").replace("-", "_")
-        for param in command.params
-        if isinstance(param, click.Option)
-        for flag in param.opts
-    }
+    options = [param for param in command.params if isinstance(param, click.Option)]
+    flags = chain.from_iterable(option.opts for option in options)
+    return {flag.removeprefix("--").replace("-", "_") for flag in flags}
 
 
 class Option(click.Option):
@@ -184,22 +182,23 @@ class Value(click.ParamType[Any]):
             return value
         if self.can_repeat and DECIMAL_OR_TWO.fullmatch(value.strip()):
             decimal = value.strip().replace(",", ".")
-            self.fail(
-                f"{value!r} may be {decimal} or two numbers. Write numbers with a decimal point.",
-                param,
-                ctx,
-            )
-        texts: Any = [part.strip() for part in value.split(",")] if self.n_values else value
-        if self.is_any_count and value.strip().casefold() == "none":
-            texts = []
-        if self.can_repeat and len(texts) == 1:
-            texts = texts * self.n_values
+            ambiguity = f"{value!r} may be {decimal} or two numbers."
+            self.fail(f"{ambiguity} Write numbers with a decimal point.", param, ctx)
         try:
-            return self.adapter.validate_python(texts)
+            return self.adapter.validate_python(self._parts(value))
         except ValidationError as error:
             messages = [fault["msg"].removeprefix("Value error, ") for fault in error.errors()]
             reasons = "; ".join(dict.fromkeys(messages))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
+
+    def _parts(self, value: str) -> str | list[str]:
+        """The texts of a value's numbers; the text itself of a single one."""
+        if not self.n_values:
+            return value
+        if self.is_any_count and value.strip().casefold() == "none":
+            return []
+        parts = [part.strip() for part in value.split(",")]
+        return parts * self.n_values if self.can_repeat and len(parts) == 1 else parts
 
 
 def options(
@@ -232,11 +231,10 @@ def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> C
     """An option of a command for a field of a model, by the type of its value."""
     types = kinds_of(field.annotation)
     is_flag = types == [bool] or _is_params(types[0])
-    settings: Entries = {
-        "help": in_terminal_words(field.description or "") + ("" if is_flag else _default(field)),
-        "group": group,
-        "required": field.is_required(),
-    }
+    help_text = in_terminal_words(field.description or "")
+    if not is_flag:
+        help_text += _default(field)
+    settings: Entries = {"help": help_text, "group": group, "required": field.is_required()}
     option = partial(click.option, *option_display.flags, cls=Option, **settings)
     if is_flag:
         return option(is_flag=True, default=None)

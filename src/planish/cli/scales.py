@@ -38,10 +38,6 @@ def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     octaves = scales_of_run(opened, params)
     if out is not None:
         write_scales(octaves, out, source=run.resolve().name)
-    show_answer(
-        octaves,
-        band_tables(octaves),
-        [say_answer(octaves), *say_surer(octaves), *say_notes(octaves)],
-        page=out and out / "scales.html",
-        as_json=as_json,
-    )
+    sentences = [say_answer(octaves), *say_surer(octaves), *say_notes(octaves)]
+    page = out and out / "scales.html"
+    show_answer(octaves, band_tables(octaves), sentences, page=page, as_json=as_json)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.cli.console import sentence, table, warn
+from planish.cli.console import duration, sentence, table, warn
 from planish.cli.options import (
     PATH,
     Option,
@@ -156,14 +156,8 @@ def study(
         results = write_series(finished, out, plan.declared, out)
     if as_json:
         click.echo(results.to_json(), nl=False)
-    counts = Counter(member.state for member in finished)
-    state_texts = [
-        f"{counts[state]} {text}" for state, text in _STATE_TEXTS.items() if counts[state]
-    ]
-    states_text = ", ".join(state_texts)
-    click.echo(
-        f"{len(finished)} specimens: {states_text}; {time.monotonic() - start_s:.0f} s", err=True
-    )
+    duration_text = f"{time.monotonic() - start_s:.0f} s"
+    click.echo(f"{len(finished)} specimens: {_states_text(finished)}; {duration_text}", err=True)
     for member in finished:
         if member.state not in ("whole", "open"):
             warn(f"{member.name}: {_STATE_TEXTS[member.state]}: {member.message}")
@@ -174,12 +168,19 @@ def study(
     return code_of(finished)
 
 
+def _states_text(members: Sequence[Member]) -> str:
+    counts = Counter(member.state for member in members)
+    return ", ".join(
+        f"{counts[state]} {text}" for state, text in _STATE_TEXTS.items() if counts[state]
+    )
+
+
 def code_of(members: Sequence[Member]) -> int:
     """0 where all are whole, 3 where none is, else 4."""
-    n_whole = sum(member.state == "whole" for member in members)
-    if n_whole == len(members) and members:
+    states = {member.state for member in members}
+    if states == {"whole"}:
         return 0
-    return 4 if n_whole or any(member.state == "withheld" for member in members) else 3
+    return 4 if states & {"whole", "withheld"} else 3
 
 
 class _ProgressLines:
@@ -201,11 +202,10 @@ class _ProgressLines:
         elif seconds is not None:
             self.n_run += 1
             state_text = f"{state_text} in {seconds:.0f} s"
-            if self.n_specimens > self.n_done:
-                seconds_each = (time.monotonic() - self.start_s) / self.n_run
-                remaining_text = (
-                    f", about {_duration((self.n_specimens - self.n_done) * seconds_each)} left"
-                )
+            n_left = self.n_specimens - self.n_done
+            if n_left > 0:
+                left_s = n_left * (time.monotonic() - self.start_s) / self.n_run
+                remaining_text = f", about {duration(left_s)} left"
         total_text = f"/{self.n_specimens}" if self.n_specimens else ""
         sentence(
             f"[{self.n_done}{total_text}] {member.name}: {state_text}{remaining_text}", err=True
@@ -224,24 +224,21 @@ def _dry_run(
         cells = ("-", "-", "-")
         if estimate.seconds is not None:
             to_do.append(estimate)
-            memory_gb = estimate.memory_bytes / 1e9
-            disk_gb = estimate.disk_bytes / 1e9
-            cells = (_duration(estimate.seconds), f"{memory_gb:.1f} GB", f"{disk_gb:.2f} GB")
+            cells = _needs(estimate.seconds, estimate.memory_bytes, estimate.disk_bytes)
         n_kept += estimate.words.startswith("kept")
         rows.append((specimen.name, estimate.words, *cells))
     table("What would be done", ("specimen", "", "time", "memory", "disk"), rows)
-    time_text = _duration(sum(estimate.seconds or 0.0 for estimate in to_do) / jobs)
-    memory_gb = jobs * max((estimate.memory_bytes for estimate in to_do), default=0.0) / 1e9
-    disk_gb = sum(estimate.disk_bytes for estimate in to_do) / 1e9
-    needs_text = f"about {time_text}, {memory_gb:.1f} GB of memory, {disk_gb:.2f} GB of disk"
+    seconds = sum(estimate.seconds or 0.0 for estimate in to_do) / jobs
+    memory_bytes = jobs * max((estimate.memory_bytes for estimate in to_do), default=0.0)
+    disk_bytes = sum(estimate.disk_bytes for estimate in to_do)
+    time_text, memory_text, disk_text = _needs(seconds, memory_bytes, disk_bytes)
+    needs_text = f"about {time_text}, {memory_text} of memory, {disk_text} of disk"
     click.echo(f"{len(to_do)} of {len(rows)} to do: {needs_text}. Nothing was written.")
     return 0 if to_do or n_kept else 3
 
 
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+def _needs(seconds: float, memory_bytes: float, disk_bytes: float) -> tuple[str, str, str]:
+    return duration(seconds), f"{memory_bytes / 1e9:.1f} GB", f"{disk_bytes / 1e9:.2f} GB"
 
 
 _CLOSE_R = 0.995  # r of which more decimals are written
@@ -354,9 +351,10 @@ def _show(results: SeriesResults) -> None:
     means: list[list[str]] = []
     for group in sorted(results.groups, key=lambda group: group.quantity):
         q = results.quantities[group.quantity]
-        row = [in_ascii(q.title), words.label(group.group), str(group.sheets), str(group.fields)]
+        counts = (str(group.sheets), str(group.fields))
+        mean = _number_text(group.mean, q.what)
         interval = group.reason or _interval_text(group.interval, q.what)
-        means.append([*row, _number_text(group.mean, q.what), interval])
+        means.append([in_ascii(q.title), words.label(group.group), *counts, mean, interval])
     if means:
         table("Means over sheets", ("", "group", "sheets", "fields", "mean", "95 %"), means)
     differences: list[list[str]] = []
@@ -365,8 +363,10 @@ def _show(results: SeriesResults) -> None:
         within = f"{words.label(d.within)}: " if d.within else ""
         levels = f"{within}{d.levels[1]} - {d.levels[0]}"
         p = f"{d.p_of_table:.2g}" if is_known(d.p_of_table) else "-"
-        row = [in_ascii(q.title), levels, _number_text(d.difference, q.what)]
-        differences.append([*row, _interval_text(d.interval, q.what), p, words.verdict(d)])
+        difference = _number_text(d.difference, q.what)
+        interval = _interval_text(d.interval, q.what)
+        row = [in_ascii(q.title), levels, difference, interval, p, words.verdict(d)]
+        differences.append(row)
     if differences:
         headings = ("", "levels", "difference", "95 %", "p", "")
         table("Differences (p after Holm)", headings, differences)

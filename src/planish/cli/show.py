@@ -6,12 +6,12 @@ import json
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import click
 from rich import progress as rich
 
-from planish.cli.console import animated, console, letters, sentence, shown, table, warn
+from planish.cli.console import animated, console, duration, letters, sentence, shown, table, warn
 from planish.core.durations import slowness
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
@@ -79,9 +79,9 @@ def stages(total: int, time_left: TimeLeft | None = None) -> Generator[Tell]:
 
 def number(value: float | None, digits: int = 3) -> str:
     """Write a number, or a dash where there is none."""
-    return (
-        f"{round(value, digits) + 0.0:.{digits}f}" if value is not None and is_known(value) else "-"
-    )
+    if value is None or not is_known(value):
+        return "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
@@ -227,15 +227,8 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
         low, high = row.interval
         digits = 2 if high - low >= 0.02 else 4  # of a narrow one more: two decimals hide it
         interval = f"{low:.{digits}f} to {high:.{digits}f}" if is_known(row.interval) else "-"
-        figures = [
-            label,
-            f"{row.point_um:g}",
-            str(row.n),
-            number(row.n_eff, 0),
-            number(row.r),
-            interval,
-        ]
-        figures += [number(row.rho), number(row.r2)]
+        figures = [label, f"{row.point_um:g}", str(row.n), number(row.n_eff, 0)]
+        figures += [number(row.r), interval, number(row.rho), number(row.r2)]
         if is_tested:
             figures.append(p_text(p_of(row)).replace(NONE, "-"))
         figures.append(f"{row.slope:.4g}" if is_known(row.slope) else "-")
@@ -252,15 +245,7 @@ def run_facts(path: Path) -> Entries | None:
     try:
         results = json.loads((path / "results.json").read_text(encoding="utf-8"))
         return _facts_of(results, path.absolute().name)
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        StopIteration,
-    ):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
 
 
@@ -276,20 +261,16 @@ def _facts_of(results: Entries, file_name: str) -> Entries:
         )
     elif results.get("format", 0) < FORMAT:
         warning = f"made by planish {version}: its results have an older format; {repeat_text}"
-    checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
+    checks_key = next((key for key in ("gates", "quality") if key in results), "checks")
     checks: list[Entries] = results[checks_key]
     names: dict[str, list[str]] = {"fail": [], "look": []}
     for check in checks:
         state = "fail" if check.get("passed") is False else check.get("state")
         if state in names:
             names[state].append(str(check["name"]))
-    if version.startswith("0.1.") and "layers" not in results:
-        sources = results["inputs"]
-    else:
-        sources = {layer["name"]: layer["source"] for layer in results["layers"]}
-    inputs = {str(name): str(source["name"]) for name, source in sources.items()}
+    inputs = _inputs_of(results)
     return {
-        "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
+        "kind": "run of one volume" if len(inputs) == 1 else f"run of {len(inputs)} layers",
         "file_name": file_name,
         "inputs": inputs,
         "checks": len(checks),
@@ -298,6 +279,13 @@ def _facts_of(results: Entries, file_name: str) -> Entries:
         "code": str(results.get("code", "")),
         "warning": warning,
     }
+
+
+def _inputs_of(results: Entries) -> dict[str, str]:
+    """Names of the files of a run, by layer; planish 0.1 lists them by themselves."""
+    if "layers" in results:
+        return {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
+    return {str(name): str(source["name"]) for name, source in results["inputs"].items()}
 
 
 def run_lines(facts: Entries) -> list[str]:
@@ -327,7 +315,7 @@ def fact_lines(facts: Entries) -> list[str]:
     for name, value in (facts.get("metadata") or {}).items():
         text = value
         if isinstance(value, dict):
-            text = ", ".join(f"{k} {v}" for k, v in cast("dict[str, Any]", value).items())
+            text = ", ".join(f"{k} {v}" for k, v in cast("Entries", value).items())
         lines.append(f"{name}: {text}")
     lines += [f"note: {note}" for note in facts.get("notes", ())]
     return lines + [f"look: {warning}" for warning in facts["warnings"]]
@@ -362,18 +350,13 @@ def _needs(facts: Entries) -> Iterator[str]:
     """Memory and time that linking or mapping a file takes."""
     pace = slowness()
     if "link_bytes" in facts:
-        memory = f"{enough_gb(facts['link_bytes'])} GB"
-        time = duration(pace * facts["link_seconds"])
-        yield f"planish link: about {memory} of memory, and {time} after the volume was mapped"
-    if "run_bytes" in facts:
-        memory = f"{enough_gb(facts['run_bytes'])} GB"
-        time = duration(pace * facts["run_seconds"])
         yield (
-            f"planish map: {memory} of memory, or less with wider columns; about"
-            f" {time}, and some minutes more the first time, to compile"
+            f"planish link: about {enough_gb(facts['link_bytes'])} GB of memory, and"
+            f" {duration(pace * facts['link_seconds'])} after the volume was mapped"
         )
-
-
-def duration(seconds: float) -> str:
-    """Write a time, roughly."""
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+    if "run_bytes" in facts:
+        yield (
+            f"planish map: {enough_gb(facts['run_bytes'])} GB of memory, or less with wider"
+            f" columns; about {duration(pace * facts['run_seconds'])}, and some minutes more the"
+            " first time, to compile"
+        )

@@ -106,6 +106,12 @@ def _image(
     return image, params
 
 
+def _maps_or_image(path: Path, values: Entries) -> xr.Dataset | xr.DataArray:
+    if path.is_dir():
+        return _read(path, "maps", "'planish resample'")
+    return _image(path, values)[0]
+
+
 @verb(
     "planish surface volume.tif -o surfaces.zarr",
     "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",
@@ -232,12 +238,9 @@ def resample(
     linked = resample_maps(
         data, coordinates, onto=image, registration=Registration.read(registration)
     )
-    share = float(linked["valid"].values.mean())
-    _write(
-        out,
-        {"linked": linked},
-        f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid",
-    )
+    share_text = f"{100 * float(linked['valid'].values.mean()):.0f} % valid"
+    summary = f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {share_text}"
+    _write(out, {"linked": linked}, summary)
 
 
 @verb(
@@ -259,9 +262,7 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     refuse_existing(*files)
     side = build_params(ImageParams, values, path=str(image)).side or "top"
-    picture = (
-        _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
-    )
+    picture = _maps_or_image(image, values)
     detected = find_holes(picture, params=build_params(HoleParams, values), side=side)
     for path in files:
         write_holes(detected, path)
@@ -299,10 +300,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
             " here."
         )
     if params.by == "texture":
-        layers = [
-            _read(p, "maps", "'planish resample'") if p.is_dir() else _image(p, values)[0]
-            for p in (moving, fixed)
-        ]
+        layers = [_maps_or_image(path, values) for path in (moving, fixed)]
         side = build_params(ImageParams, values, path=str(fixed)).side
         # a sheet and an image, of whichever side where none is given.
         is_of_sheet = moving.is_dir() != fixed.is_dir()
@@ -313,15 +311,9 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     registration.save(out)
     write_marks(registration.pairs(), table)
     fit = registration.fit
-    for sentence in (
-        registration.sentence,
-        registration.design,
-        fit.sentence,
-        registration.agreement(),
-        *fit.warnings,
-    ):
-        if sentence:
-            click.echo(shown(sentence))
+    sentences = (registration.sentence, registration.design, fit.sentence)
+    for sentence in filter(None, (*sentences, registration.agreement(), *fit.warnings)):
+        click.echo(shown(sentence))
     click.echo(
         f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale"
         f" {fit.transform.scale:.4f}"

@@ -44,10 +44,10 @@ class TimeLeft:
 
         Stages that were passed over take no time.
         """
-        later = self._names[self._at + (share == 0) :] if self._at >= 0 else self._names
-        if name not in later:
+        first = max(self._at + (share == 0), 0)
+        if name not in self._names[first:]:
             return
-        stage = len(self._names) - len(later) + later.index(name)
+        stage = self._names.index(name, first)
         if stage != self._at:
             for k in range(self._at + 1, stage):
                 self._seconds[k] = 0.0

@@ -46,14 +46,9 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     if listed:
         from planish.synthetic import NUISANCES, PRESETS
 
-        table(
-            "Papers",
-            ("name", "what it is"),
-            [(name, title) for name, (title, _) in PRESETS.items()],
-        )
-        table(
-            "Nuisances", ("name", "what it is"), [(name, n.title) for name, n in NUISANCES.items()]
-        )
+        headings = ("name", "what it is")
+        table("Papers", headings, [(name, title) for name, (title, _) in PRESETS.items()])
+        table("Nuisances", headings, [(name, n.title) for name, n in NUISANCES.items()])
         return 0
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")

@@ -70,9 +70,7 @@ class Scale:
     def shades(self, values: ArrayLike) -> NDArray[np.uint8]:
         """Return the index of each value's colour; the last one is for missing values."""
         fraction = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
-        shade_indices = np.rint(
-            np.clip(np.where(np.isfinite(fraction), fraction, 0.0), 0.0, 1.0) * (_SHADES - 1)
-        )
+        shade_indices = np.rint(np.clip(fraction, 0.0, 1.0) * (_SHADES - 1))
         return np.where(np.isfinite(fraction), shade_indices, _SHADES).astype(np.uint8)
 
 
@@ -152,12 +150,7 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
     """
     from PIL import Image
 
-    palette = np.vstack(
-        [
-            colours_in_steps(scale.colours),
-            np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8),
-        ]
-    )
+    palette = np.vstack([colours_in_steps(scale.colours), _rgb(missing[1:])])
     shades = scale.shades(values)
     # Of many pixels, a JPEG is a fraction of a PNG.
     kind = "PNG" if shades.size <= 250_000 else "JPEG"
@@ -174,12 +167,13 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
 @cache
 def colours_in_steps(colours: str) -> NDArray[np.uint8]:
     """Return the colours of all shades: (255, 3)."""
-    anchors = np.array(
-        [list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64
-    )
+    anchors = _rgb(_ANCHORS[colours])
     fractions = np.linspace(0, 1, _SHADES)
     anchor_fractions = np.linspace(0, 1, len(anchors))
-    rgb = np.stack(
-        [np.interp(fractions, anchor_fractions, anchors[:, k]) for k in range(3)], axis=1
-    )
-    return np.rint(rgb).astype(np.uint8)
+    channels = [np.interp(fractions, anchor_fractions, channel) for channel in anchors.T]
+    return np.rint(channels).T.astype(np.uint8)
+
+
+def _rgb(codes: str) -> NDArray[np.uint8]:
+    """Return colours (n, 3) of their hexadecimal codes."""
+    return np.frombuffer(bytes.fromhex(codes), dtype=np.uint8).reshape(-1, 3)

@@ -48,6 +48,7 @@ from planish.report.draw import (
 )
 from planish.report.relation import draw_dots, draw_fit
 from planish.report.sentences.explain import (
+    AnyModel,
     independent_cells,
     say_answer,
     say_notes,
@@ -59,8 +60,6 @@ from planish.report.summary import KeyFigure
 
 if TYPE_CHECKING:
     import xarray as xr
-
-AnyModel = Explained | ExplainedSeries
 
 _WIDEST_NAME = 245.0  # pixels, of a row
 _MOST_LETTERS = 36  # of that name

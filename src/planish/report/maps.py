@@ -6,7 +6,6 @@ With their distributions, two side by side, and thin regions outlined on the ima
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import count as numbers_from
 
 import numpy as np
 import xarray as xr
@@ -101,15 +100,15 @@ class RunMaps:
 
     def _smaller(self, name: str) -> xr.Dataset | None:
         """A group, or the finest of its smaller copies that is small enough to be drawn."""
-        maps = smaller = self.data.get(name)
-        for k in numbers_from(1):
+        maps = self.data.get(name)
+        k = 1
+        # More pixels than the widest figure has.
+        while maps is not None and maps.sizes["y"] * maps.sizes["x"] > SAMPLE_PIXELS:
+            smaller = self.data.get(f"overviews/{name}/{k}")
             if smaller is None:
                 break
             maps = smaller
-            # More pixels than the widest figure has.
-            if maps.sizes["y"] * maps.sizes["x"] <= SAMPLE_PIXELS:
-                break
-            smaller = self.data.get(f"overviews/{name}/{k}")
+            k += 1
         return maps
 
     @cached_property
@@ -241,7 +240,8 @@ def _draw_histogram(
     axes.upright(0, width=1.6)
     if facts.mean is not None and facts.sd is not None:
         x = 1.14 * max_count
-        low, mean, high = np.clip(facts.mean + facts.sd * np.array([-1, 0, 1]), *limits)
+        spread = facts.sd * np.array([-1, 0, 1])
+        low, mean, high = np.clip(facts.mean + spread, *limits)
         axes.line(x, (low, high), colour=ACCENT, width=1.6)
         axes.dots(x, mean, colour=ACCENT, size=5)
     bin_edges = edges.tolist()

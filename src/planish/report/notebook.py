@@ -9,7 +9,7 @@ import xarray as xr
 from planish.core.numbers import number, typeset
 from planish.core.parameter_words import in_python_words
 from planish.report.colours import colours_of, image_uri
-from planish.report.draw import pitch
+from planish.report.draw import axes_of, pitch
 from planish.report.maps import RunMaps
 from planish.report.summary import check_summary, summarise
 from planish.report.text import label_of
@@ -61,15 +61,12 @@ def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
     for layer in results.layers:
         maps = run_maps.drawn.get(layer.name) if results.is_link else run_maps.part(layer, "maps")
         if maps is not None and layer.headline in maps:
-            map_parts.append(
-                map_html(maps[layer.headline], title=layer.name if results.is_link else "")
-            )
+            title = layer.name if results.is_link else ""
+            map_parts.append(map_html(maps[layer.headline], title=title))
     names = " · ".join(layer.source.name for layer in results.layers)
-    maps_row = (
-        f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(map_parts)}</div>'
-        if map_parts
-        else ""
-    )
+    maps_row = ""
+    if map_parts:
+        maps_row = f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(map_parts)}</div>'
     return (
         "<div><b>planish</b>"
         f" {escape(names)}{results_html(results, run_maps.titles)}{maps_row}</div>"
@@ -86,12 +83,12 @@ def map_html(data: xr.DataArray, *, title: str = "") -> str:
     title : str
         Written before the title of the map.
     """
-    rows, cols = (data[dim].values for dim in data.dims)
+    rows, cols = axes_of(data)
     values = data.values.astype(np.float64)
-    stride = max(1, int(values.shape[1] / (1.5 * _WIDE)), int(values.shape[0] / (1.5 * _HIGH)))
+    stride = max(1, int(cols.size / (1.5 * _WIDE)), int(rows.size / (1.5 * _HIGH)))
     scale = colours_of(data, values[np.isfinite(values)])
-    width_um = values.shape[1] * pitch(cols)
-    height_um = values.shape[0] * pitch(rows)
+    width_um = cols.size * pitch(cols)
+    height_um = rows.size * pitch(rows)
     px_per_um = min(_WIDE / width_um, _HIGH / height_um)
     title_text = f"{title}: {label_of(data)}" if title else label_of(data)
     image = f'src="{image_uri(values[::stride, ::stride], scale)}" alt="{escape(title_text)}"'

@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 
 from planish.analyze import LagNumbers
 from planish.checks.light import EVEN_LIGHT
-from planish.core import numbers
 from planish.core.checks import CORRELATION, POSITION, State, concerned
 from planish.core.facts import is_known
 from planish.core.numbers import (
@@ -23,6 +22,7 @@ from planish.core.numbers import (
     percent,
     typeset,
     unit,
+    with_article,
 )
 from planish.core.text import and_join
 from planish.report.relation import largest, written_difference
@@ -183,10 +183,7 @@ def density_of(results: Results, row: CorrelationRow) -> float | None:
 def quantities(results: Results) -> list[str]:
     """Say of every image what its values are."""
     images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
-    texts = [
-        f"{capital(numbers.with_article(name))}: {typeset(image.sentence)}."
-        for name, image in images
-    ]
+    texts = [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
     if any(image.quantity == "grey value, uncalibrated" for _, image in images):
         texts.append(
             "A grey value is the brightness that the file holds: larger is lighter, in no"
@@ -305,7 +302,7 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     are_images = is_image and results.layer(pixel.a).kind == "image"
     a, b = names_in_words(pixel, titles)
     if are_images:
-        a, b = map(numbers.with_article, (pixel.a, pixel.b))
+        a, b = map(with_article, (pixel.a, pixel.b))
     if pixel.trust != "ok":
         why = doubt(results, pixel)
         return f"The correlation of {a} and {b} {why}.{_light_text(results, row)}"

@@ -21,6 +21,8 @@ from planish.core.numbers import (
 from planish.core.text import and_join
 from planish.report.series_words import sheets_text
 
+AnyModel = Explained | ExplainedSeries
+
 _SURFACES = {
     "top": "the top face",
     "bottom": "the bottom face",
@@ -29,7 +31,7 @@ _SURFACES = {
 }
 
 
-def say_answer(model: Explained | ExplainedSeries) -> str:
+def say_answer(model: AnyModel) -> str:
     """The answer: what is explained, by which map most, and whether that is certain."""
     sentences = [_say_share(model)]
     coefficients: Mapping[str, Any] = model.coefficients
@@ -57,7 +59,7 @@ def say_coefficient(coefficient: Any) -> str:
     return text if coefficient.direction else f"{text}, not distinguishable from 0"
 
 
-def _say_share(model: Explained | ExplainedSeries) -> str:
+def _say_share(model: AnyModel) -> str:
     titles = [in_words(coefficient.title) for coefficient in model.coefficients.values()]
     verb = "explains" if len(titles) == 1 else "together explain"
     out_text = ""
@@ -70,7 +72,7 @@ def _say_share(model: Explained | ExplainedSeries) -> str:
     )
 
 
-def _say_lead(model: Explained | ExplainedSeries, order: list[str]) -> str:
+def _say_lead(model: AnyModel, order: list[str]) -> str:
     first, second = (in_words(model.coefficients[name].title) for name in order[:2])
     if not is_known(model.lead_interval):
         return f"Whether {first} matters more than {second} is not known."
@@ -81,7 +83,7 @@ def _say_lead(model: Explained | ExplainedSeries, order: list[str]) -> str:
     return f"Whether {first} matters more than {second} is not certain: by {lead_text}."
 
 
-def _say_cells(model: Explained | ExplainedSeries) -> str:
+def _say_cells(model: AnyModel) -> str:
     cells_text = f"{count(model.n)} cells count as {independent_cells(model)} independent ones"
     if isinstance(model, ExplainedSeries):
         fields_text = f"Means of {count(model.fields)} fields over {sheets_text(model.sheets)}"
@@ -89,7 +91,7 @@ def _say_cells(model: Explained | ExplainedSeries) -> str:
     return f"{cells_text} (n_eff)."
 
 
-def independent_cells(model: Explained | ExplainedSeries) -> str:
+def independent_cells(model: AnyModel) -> str:
     """How many cells count as independent: of the map with the fewest to that with the most."""
     numbers = [model.n_eff]
     if isinstance(model, Explained):
@@ -98,7 +100,7 @@ def independent_cells(model: Explained | ExplainedSeries) -> str:
     return " to ".join(dict.fromkeys(ends))
 
 
-def say_surer(model: Explained | ExplainedSeries) -> list[str]:
+def say_surer(model: AnyModel) -> list[str]:
     """What would make a model more certain; at most three sentences."""
     sentences: list[str] = []
     if isinstance(model, ExplainedSeries):
@@ -126,7 +128,7 @@ def say_surer(model: Explained | ExplainedSeries) -> list[str]:
     return sentences[:3]
 
 
-def _undeclared(model: Explained | ExplainedSeries) -> Iterator[str]:
+def _undeclared(model: AnyModel) -> Iterator[str]:
     if not model.declared:
         yield (
             "Declare the model in the study ([explain]) before you look at the next specimen: of"
@@ -143,7 +145,7 @@ def _collinear(model: Explained) -> Iterator[str]:
             )
 
 
-def say_reading(model: Explained | ExplainedSeries) -> list[str]:
+def say_reading(model: AnyModel) -> list[str]:
     """How to read a model, and what it does not say."""
     sentences = [
         "A coefficient says by how many standard deviations the response changes where a map is"
@@ -163,7 +165,7 @@ def say_reading(model: Explained | ExplainedSeries) -> list[str]:
     return sentences
 
 
-def say_notes(model: Explained | ExplainedSeries) -> list[str]:
+def say_notes(model: AnyModel) -> list[str]:
     """What else stands beside a model: other cells, shared errors and parts, ranks and weights."""
     columns_text = (
         "Standardised: standard deviations of the response per standard deviation of the map, the"
@@ -185,7 +187,7 @@ def say_notes(model: Explained | ExplainedSeries) -> list[str]:
     ]
 
 
-def _say_declared(model: Explained | ExplainedSeries) -> str:
+def _say_declared(model: AnyModel) -> str:
     if model.declared:
         return "The study declared this model before it was run."
     if model.declared is None:
