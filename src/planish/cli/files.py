@@ -91,10 +91,11 @@ def _facts_of_file(path: Path, sizes: Entries, sections: list[Section] | None) -
         from planish.run.run import open_results
 
         open_results(path)  # says what is wrong with it
+    given_sizes = {name: size for name, size in sizes.items() if size is not None}
     facts = describe(
         path,
         look=None if sections is None else lambda v: sections.extend(middle_sections(v)),
-        **{name: size for name, size in sizes.items() if size is not None},
+        **given_sizes,
     )
     ctx = click.get_current_context()
     facts["warnings"] = [with_commands(warning, ctx) for warning in facts["warnings"]]

@@ -322,6 +322,12 @@ def out_option(help: str, *, required: bool = True) -> Command:
     return click.option("--out", "-o", required=required, type=PATH, help=help)
 
 
+# Of a command that answers a question.
+page_option = out_option(
+    "Folder to make for the page and its tables; it must not exist.", required=False
+)
+
+
 def existing(name: str) -> Command:
     """Take a file or folder that is read; its own reader says what is wrong with it."""
     return click.argument(name, type=PATH)

@@ -7,7 +7,7 @@ from typing import Any
 
 from planish.analyze.params import ScalesParams
 from planish.cli.answers import show_answer
-from planish.cli.options import build_params, existing, json_option, options, out_option, verb
+from planish.cli.options import build_params, existing, json_option, options, page_option, verb
 
 
 @verb(
@@ -17,7 +17,7 @@ from planish.cli.options import build_params, existing, json_option, options, ou
 )
 @existing("run")
 @options(ScalesParams, "Octaves")
-@out_option("Folder to make for the page and its tables; it must not exist.", required=False)
+@page_option
 @json_option
 def scales(run: Path, out: Path | None, as_json: bool, **values: Any) -> None:
     """State how much each map of RUN varies by octaves of wavelength, without its noise.

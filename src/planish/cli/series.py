@@ -22,6 +22,7 @@ from planish.cli.options import (
     json_option,
     options,
     out_option,
+    page_option,
     verb,
 )
 from planish.core.facts import is_known
@@ -290,7 +291,7 @@ def _margin(
         " repeatable."
     ),
 )
-@out_option("Folder to make for the page and its tables; it must not exist.", required=False)
+@page_option
 @json_option
 def compare(
     runs: tuple[Path, ...],

@@ -55,12 +55,11 @@ class TimeLeft:
         if share >= 1 and stage + 1 < len(self._names):
             self._move(stage + 1)
         elif share:
-            self._share = share
-            self._rate = self._rate_at(self._passed(), self._clock())
+            self._move(stage, share)
 
-    def _move(self, stage: int) -> None:
+    def _move(self, stage: int, share: float = 0.0) -> None:
         self._at = stage
-        self._share = 0.0
+        self._share = share
         self._entered = self._clock()
         self._rate = self._rate_at(self._passed(), self._clock())
 

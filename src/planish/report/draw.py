@@ -202,8 +202,9 @@ class Axes:
         points = np.column_stack([x, np.asarray(ends, dtype=np.float64)])
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) > 1:
-            border = np.concatenate([points[:, [0, 1]], points[::-1, [0, 2]]])
-            self.area(border, colour=POINT, opacity=0.2)
+            lower = points[:, [0, 1]]
+            upper = points[:, [0, 2]]
+            self.area(np.concatenate([lower, upper[::-1]]), colour=POINT, opacity=0.2)
 
     def dots(
         self,
@@ -626,11 +627,11 @@ def magnified(vectors: Array, length_um: float) -> Magnified:
     return Magnified(times, longest, f"{size}; the longest is {length(longest, 2)}")
 
 
-def with_margin(values: Iterable[float], share: float = 0.06, least: float = 0.1) -> Pair:
-    """Return the ends of an axis that holds values, with a margin of a share of their range."""
-    ends = [*values]
-    low, high = min(ends), max(ends)
-    margin = share * (high - low) or least
+def with_margin(values: Sequence[float], least: float = 0.1) -> Pair:
+    """Return the ends of an axis that holds values, with a margin of 6 % of their range."""
+    low = min(values)
+    high = max(values)
+    margin = 0.06 * (high - low) or least
     return low - margin, high + margin
 
 

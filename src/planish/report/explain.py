@@ -245,8 +245,9 @@ def draw_sizes(model: Explained) -> Picture:
     names = strongest(model.coefficients)
     colours = colours_of(names)
     canvas = Canvas(HALF, 290 + LINE_PX * len(names))
-    extent = (min(logs) - 0.1, max(logs) + 0.1, min(ends) - 0.05, max(ends) + 0.05)
-    axes = canvas.axes(*_BOX, extent)
+    x_limits = (min(logs) - 0.1, max(logs) + 0.1)
+    y_limits = (min(ends) - 0.05, max(ends) + 0.05)
+    axes = canvas.axes(*_BOX, (*x_limits, *y_limits))
     axes.upright(math.log10(model.cell_um), colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
     for index, (name, colour) in enumerate(colours.items()):

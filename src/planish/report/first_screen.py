@@ -5,7 +5,7 @@ Also what would make it certain.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,16 +112,7 @@ def operator_notes(results: Results) -> list[str]:
 
     These stand nowhere else on the page.
     """
-    texts = [
-        f"{capital(check.name)}: {check.advice} {check.remedy}"
-        for check in results.checks_in("fail", "look", "unknown")
-        if check.remedy
-    ]
-    for layer in results.moving:
-        view = None if layer.registration is None else layer.registration.orientation
-        if view is not None and view.remedy:
-            texts.append(f"{view.sentence} {view.remedy}")
-    notes = [typeset(in_terminal_words(text)) for text in texts]
+    notes = [typeset(in_terminal_words(text)) for text in _remedies(results)]
     if results.evidence and not results.evidence[0].declared:
         notes.append("The map that leads is declared with --headline.")
     quantities = [layer.image.quantity for layer in results.layers if layer.image is not None]
@@ -135,6 +126,17 @@ def operator_notes(results: Results) -> list[str]:
             "Title, author, date and a note of this page: --title, --author, --date, --note."
         )
     return [*dict.fromkeys(notes)]
+
+
+def _remedies(results: Results) -> Iterator[str]:
+    """Remedies of checks, and of a side or direction that is not known."""
+    for check in results.checks_in("fail", "look", "unknown"):
+        if check.remedy:
+            yield f"{capital(check.name)}: {check.advice} {check.remedy}"
+    for layer in results.moving:
+        if layer.registration is not None and layer.registration.orientation.remedy:
+            view = layer.registration.orientation
+            yield f"{view.sentence} {view.remedy}"
 
 
 def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:

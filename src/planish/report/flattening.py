@@ -85,11 +85,11 @@ def _draw_displacement(flat: xr.Dataset) -> Picture:
     rows, cols = (np.arange(arrow_stride // 2, n, arrow_stride) for n in displacement.shape)
     if _is_mirrored(flat):
         cols = x.size - 1 - cols
-    arrow_starts = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1).reshape(-1, 2)
+    starts = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1).reshape(-1, 2)
     arrow_um = 1.6 * arrow_stride * max(pitch(x), pitch(y))
     magnification = magnified(vectors.reshape(-1, 2), arrow_um)
     arrows = magnification.times * vectors[np.ix_(rows, cols)].reshape(-1, 2)
-    axes.arrows(arrow_starts, arrows, colour="white", width=1.3, halo=INK)
+    axes.arrows(starts, arrows, colour="white", width=1.3, halo=INK)
     caption = (
         "From the place in the projection to the place in the flat sheet, seen from the top"
         f" side. Arrows are {magnification.words}. n = {n_of(displacement)} columns of"

@@ -180,7 +180,7 @@ def draw_registration(
         axes.outline(ground.edge, colour=EDGE, width=1.6)
         note_text = f"Blue: edge of {with_article(ground.edge_of)}. "
     fixed_xy = points_of(marks, "fixed")
-    _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == FULL else 11)
+    _draw_marks(canvas, axes, marks, hole_um=hole_um)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows
     # where that one falls.
     magnification = _draw_arrows(
@@ -229,8 +229,9 @@ def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
     return f"{n} marks (orange circles of {plain(hole_um)}{tiles_text})"
 
 
-def _draw_marks(axes: Axes, marks: xr.Dataset, *, hole_um: float, font_size: float) -> None:
+def _draw_marks(canvas: Canvas, axes: Axes, marks: xr.Dataset, *, hole_um: float) -> None:
     """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
+    font_size = 14 if canvas.width == FULL else 11
     angles = np.linspace(0, 2 * np.pi, 49)
     circle_x = hole_um / 2 * np.cos(angles)
     circle_y = hole_um / 2 * np.sin(angles)
@@ -283,7 +284,7 @@ def draw_expected_error(
     else:
         axes.contours(levels, labels=True, avoided=points_of(marks, "fixed"))
         marks_text = "Orange: the marks, numbered as in the figure of their residuals. "
-        _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == FULL else 11)
+        _draw_marks(canvas, axes, marks, hole_um=hole_um)
         if _tiles_of(marks).all():
             shared_text = (
                 "of an error that all tiles share, only what light from one side explains is"

@@ -324,7 +324,8 @@ def _draw_density(canvas: Canvas, box: Box, points: Points, *, counted_text: str
     x_limits, y_limits = map(_axis_limits, points)
     left_px, top_px, width, height = box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
-    counts = np.histogram2d(*points, bins=bins, range=(x_limits, y_limits))[0].T[::-1]
+    columns, *_ = np.histogram2d(*points, bins=bins, range=(x_limits, y_limits))
+    counts = columns.T[::-1]
     scale = Scale(0.0, float(np.log10(counts.max(initial=10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
     axes = canvas.axes(*box, (*x_limits, *y_limits))

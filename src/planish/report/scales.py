@@ -85,31 +85,23 @@ def tiles_of(octaves: Scales) -> list[KeyFigure]:
     name = leading(octaves)[0] if octaves.maps else ""
     if not octaves.bands.get(name):
         return []
-    facts, bands = octaves.maps[name], octaves.bands[name]
+    facts = octaves.maps[name]
+    bands = octaves.bands[name]
     named = leading_band(octaves, bands)
     height, width = facts.field_um or (math.nan, math.nan)
+    waves_text = f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}"
+    field_text = f"{fixed(width / 1000, 1)} × {fixed(height / 1000, 1)}"
+    known_text = f"{percent(facts.known_share, 2)} of it known"
     tiles = [
-        KeyFigure(
-            count(len(bands)),
-            "",
-            "octaves",
-            f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}",
-        ),
+        KeyFigure(count(len(bands)), "", "octaves", waves_text),
         KeyFigure(count(round(named.modes)), "", "independent waves", f"of {waves(named)}"),
-        KeyFigure(
-            f"{fixed(width / 1000, 1)} × {fixed(height / 1000, 1)}",
-            "mm",
-            "field",
-            f"{percent(facts.known_share, 2)} of it known",
-        ),
+        KeyFigure(field_text, "mm", "field", known_text),
     ]
-    shares = [
-        band.noise**2 / (band.noise**2 + band.sd**2) for band in bands if is_known(band.noise)
-    ]
-    if shares:
-        tiles.append(
-            KeyFigure(percent(max(shares), 2), "", "noise, taken off", "of the variance, at most")
-        )
+    noisy = [band for band in bands if is_known(band.noise)]
+    if noisy:
+        share = max(band.noise**2 / (band.noise**2 + band.sd**2) for band in noisy)
+        noise_text = percent(share, 2)
+        tiles.append(KeyFigure(noise_text, "", "noise, taken off", "of the variance, at most"))
     return tiles
 
 
@@ -118,10 +110,8 @@ def band_tables(octaves: Scales) -> dict[str, list[dict[str, str]]]:
     shown = [
         (octaves.maps[name], band) for name, bands in octaves.bands.items() for band in bands[::-1]
     ]
-    has = {
-        key: any(is_known(getattr(band, key)) for _, band in shown)
-        for key in ("cov", "noise", "formation", "gain")
-    }
+    fields = ("cov", "noise", "formation", "gain")
+    has = {key for key in fields for _, band in shown if is_known(getattr(band, key))}
     tables: dict[str, list[dict[str, str]]] = {}
     for facts, band in shown:
         row = {
@@ -130,15 +120,15 @@ def band_tables(octaves: Scales) -> dict[str, list[dict[str, str]]]:
             "Standard deviation": number(band.sd),
             "95 %": numbers_text(band.interval),
         }
-        if has["cov"]:
+        if "cov" in has:
             row["COV / %"] = number(100 * band.cov)
-        if has["noise"]:
+        if "noise" in has:
             row["Noise"] = number(band.noise)
-        if has["formation"]:
+        if "formation" in has:
             row["Formation"] = fixed(band.formation, 2)
         row["Independent waves"] = count(round(band.modes))
         tables.setdefault("Octaves", []).append(row)
-        if has["gain"]:
+        if "gain" in has:
             relation = {
                 "Map": facts.title,
                 "Waves": waves(band),
@@ -155,11 +145,10 @@ def band_tables(octaves: Scales) -> dict[str, list[dict[str, str]]]:
 
 def tables_of(octaves: Scales) -> dict[str, Table]:
     """The octaves as one table, by the name of its file."""
-    rows = [
-        {"map": name, "units": octaves.maps[name].units} | flat_row(band)
-        for name, bands in octaves.bands.items()
-        for band in reversed(bands)
-    ]
+    rows: list[dict[str, object]] = []
+    for name, bands in octaves.bands.items():
+        about = {"map": name, "units": octaves.maps[name].units}
+        rows += [about | flat_row(band) for band in reversed(bands)]
     return {"octaves": table_of(rows)}
 
 

@@ -233,11 +233,8 @@ def _overview_window(cut: Slice, margin: float) -> Window:
     """Return the whole slice, or its middle where the whole would be a hair line."""
     left = float(cut.x[0])
     right = float(cut.x[-1])
-    whole_window = cut.window(left, right, margin)
-    *_, low, high = whole_window
+    *_, low, high = cut.window(left, right, margin)
     width_um = right - left
-    if width_um <= _FLATTEST * (high - low):
-        return whole_window
     # A flat sheet: more air above and below first, then less of its length.
     floor, ceiling = cut.range
     height_um = min(width_um / _FLATTEST, ceiling - floor)

@@ -253,7 +253,8 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     if marks.held_out is not None:
         sentence = f"{marks.held_out.sentence} With the place fitted to both: {sentence}"
         if is_sound:
-            figure, pixel_figure = _held_out_figure(marks.held_out), figure
+            pixel_figure = figure
+            figure = _held_out_figure(marks.held_out)
     loo_um = marks.leave_one_out_rms_um
     if loo_um is None:
         sentence += f" {marks.matched} marks were used."

@@ -72,10 +72,10 @@ def comparison(results: Results) -> list[PairLine]:
 def comparison_sentence(results: Results) -> str:
     """State what flattening changed over the largest points and over the pixels."""
     rows = [row for row in results.comparison if row.n and is_known(row.r)]
-    if not rows:
+    sizes = _sizes(rows)
+    if not sizes:
         return ""
-    sizes = {row.point_um for row in rows}
-    flat, projected = _flat_and_projected(rows, max(sizes))
+    flat, projected = _flat_and_projected(rows, sizes[-1])
     if flat is None or projected is None:
         return ""
     text = (
@@ -87,7 +87,7 @@ def comparison_sentence(results: Results) -> str:
     low, high = projected.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
     text += f". The two r are {verdict}: r changes by {_change_text(projected)}."
-    pixel = _flat_and_projected(rows, min(sizes))[1] if len(sizes) > 1 else None
+    pixel = _flat_and_projected(rows, sizes[0])[1] if len(sizes) > 1 else None
     if pixel is not None and is_known(pixel.difference_interval):
         text += f" At the pixel, {plain(pixel.point_um)}, it changes by {_change_text(pixel)}."
     return text + _side_light_text(results)
@@ -111,11 +111,16 @@ def _flat_and_projected(
     rows: list[ComparisonRow], point_um: float
 ) -> tuple[ComparisonRow | None, ComparisonRow | None]:
     """Return the run's own registration and the better projection, at points of one size."""
-    rows = [row for row in rows if row.point_um == point_um]
-    flat_rows = [row for row in rows if row.registration.startswith("flattened")]
-    projected_rows = [row for row in rows if not row.registration.startswith("flattened")]
-    flat = flat_rows[-1] if flat_rows else None
-    return flat, max(projected_rows, key=lambda row: row.r2, default=None)
+    flat = None
+    projected: list[ComparisonRow] = []
+    for row in rows:
+        if round(row.point_um, 4) != point_um:
+            continue
+        if row.registration.startswith("flattened"):
+            flat = row
+        else:
+            projected.append(row)
+    return flat, max(projected, key=lambda row: row.r2, default=None)
 
 
 def _change_text(row: ComparisonRow) -> str:

@@ -232,19 +232,20 @@ def _say_sharing(model: Explained) -> Iterator[str]:
                 f"{capital(titles)} meet at {surface_text}: where it was found too high or too low,"
                 " their errors go together."
             )
-    moved = [c for c in model.coefficients.values() if is_known(c.by_errors)]
-    if not moved:
-        return
-    moves = and_join(
-        f"{in_words(c.title)} by {number(c.by_errors, 2)} of {number(c.plain)}" for c in moved
-    )
-    if model.corrected:
-        moves = and_join(f"{in_words(c.title)} by {number(c.by_errors, 2)}" for c in moved)
-        yield f"The stated errors moved the plain coefficients before they were taken off: {moves}."
-    else:
+    moves: list[str] = []
+    for c in model.coefficients.values():
+        of_plain_text = "" if model.corrected else f" of {number(c.plain)}"
+        if is_known(c.by_errors):
+            moves.append(f"{in_words(c.title)} by {number(c.by_errors, 2)}{of_plain_text}")
+    if moves and model.corrected:
+        yield (
+            "The stated errors moved the plain coefficients before they were taken off:"
+            f" {and_join(moves)}."
+        )
+    elif moves:
         yield (
             "The stated errors of the maps move the plain coefficients, that of"
-            f" {moves}; the corrected model takes that off."
+            f" {and_join(moves)}; the corrected model takes that off."
         )
 
 

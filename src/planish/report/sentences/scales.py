@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from planish.analyze.scales import MapScales, ScaleBand, Scales
 from planish.core.facts import is_known
@@ -64,7 +64,8 @@ def _levels(octaves: Scales, facts: MapScales) -> bool:
 
 def waves(band: ScaleBand) -> str:
     """The wavelengths of an octave."""
-    low, high = plain(band.low_um), plain(band.high_um)
+    low = plain(band.low_um)
+    high = plain(band.high_um)
     if low[-2:] == high[-2:]:
         low = low[:-3]
     return f"{low} to {high}"
@@ -103,7 +104,7 @@ def _say_relation(octaves: Scales, facts: MapScales, bands: Sequence[ScaleBand])
     if not best.coherence_interval[0] > 0:
         return f"{_title(facts)} follows {other} in no octave beyond chance."
     follows, rises = ("follows", "rises") if best.gain > 0 else ("mirrors", "falls")
-    ends = sorted(abs(end) for end in best.gain_interval)
+    low, high = sorted(map(abs, best.gain_interval))
     # Hundredths of a change are the most that anyone reads.
     size = to_spread(abs(best.gain), max(_half(best.gain_interval), 0.1 * abs(best.gain)))
     digits = _decimals(size)
@@ -113,7 +114,7 @@ def _say_relation(octaves: Scales, facts: MapScales, bands: Sequence[ScaleBand])
         f" {fixed(best.coherence, 2)}; 95 %: {interval_text(best.coherence_interval)}): where"
         f" {other} rises by {with_unit(1.0, octaves.against_units)}, {title} {rises} by"
         f" {with_unit_of(size, facts.units)} (95 %:"
-        f" {fixed(ends[0], digits)} to {fixed(ends[1], digits)})."
+        f" {interval_text((low, high), digits)})."
     )
     if _levels(octaves, facts) and best.gain_interval[1] >= -1 and best.gain < 0:
         share_text = percent(min(-best.gain, 1.0), 2)
@@ -143,36 +144,44 @@ def _say_formation(facts: MapScales) -> str:
 def say_surer(octaves: Scales) -> list[str]:
     """What would make octaves more certain; at most three sentences."""
     sentences: list[str] = []
-    if doubtful := [
-        in_words(facts.title) for facts in octaves.maps.values() if facts.trust != "ok"
-    ]:
+    doubtful = [in_words(facts.title) for facts in octaves.maps.values() if facts.trust != "ok"]
+    if doubtful:
         sentences.append(
             f"Checks of the run leave {and_join(doubtful)} doubtful: look at them before anything"
             " else."
         )
-    bands_of = {name: octaves.bands[name] for name in leading(octaves) if octaves.bands[name]}
-    titles = {name: in_words(octaves.maps[name].title) for name in bands_of}
-    if any(_wants_larger_field(bands) for bands in bands_of.values()):
-        longest_um = next(iter(bands_of.values()))[0].high_um
+    names = [name for name in leading(octaves) if octaves.bands[name]]
+    if any(_wants_larger_field(octaves.bands[name]) for name in names):
+        longest_um = octaves.bands[names[0]][0].high_um
         sentences.append(
             "A larger field: four times the area halves the interval of each octave, and adds the"
             f" octave above {plain(longest_um)}. Waves count where five of them fit along the"
             " shorter side of the field."
         )
-    for name, bands in bands_of.items():
-        if loud := [band for band in bands if _is_loud(band)]:
-            sentences.append(
+    sentences += _say_noise(octaves, names)
+    if names:
+        sentences.append("Other fields and sheets: the interval is that of one field.")
+    return sentences[:3]
+
+
+def _say_noise(octaves: Scales, names: Sequence[str]) -> Iterator[str]:
+    """In which waves noise is most of the variance of maps, and of which it is not known."""
+    unknown: list[str] = []
+    for name in names:
+        title = in_words(octaves.maps[name].title)
+        loud = [band for band in octaves.bands[name] if _is_loud(band)]
+        if loud:
+            yield (
                 f"A scan with less noise: in waves of {waves(loud[-1])} most of the variance of"
-                f" {titles[name]} is noise."
+                f" {title} is noise."
             )
-    if unknown := [title for name, title in titles.items() if octaves.maps[name].shared is None]:
-        sentences.append(
+        if octaves.maps[name].shared is None:
+            unknown.append(title)
+    if unknown:
+        yield (
             f"A second measurement of {and_join(unknown)}: without one its noise is not known, and"
             " counts in every octave."
         )
-    if bands_of:
-        sentences.append("Other fields and sheets: the interval is that of one field.")
-    return sentences[:3]
 
 
 def _wants_larger_field(bands: Sequence[ScaleBand]) -> bool:
@@ -239,20 +248,25 @@ def say_notes(octaves: Scales) -> list[str]:
             shared.setdefault(facts.shared, []).append(in_words(facts.title))
     for cause, titles in shared.items():
         notes.append(f"All rows share {cause}: it stays in {and_join(titles)}.")
+    notes += _say_forms(octaves)
+    if octaves.declared is False:
+        notes.append("The study declared other maps: these were chosen later.")
+    return notes
+
+
+def _say_forms(octaves: Scales) -> Iterator[str]:
+    """Which octaves the form of a height takes in part."""
     forms = {facts.title: facts.form_um for facts in octaves.maps.values()}
     forms[octaves.against_title] = octaves.against_form_um
     bands = next(iter(octaves.bands.values()), ())
     for title, form_um in forms.items():
-        cut = [waves(band) for band in bands if is_known(form_um) and band.high_um > form_um]
+        cut = [waves(band) for band in bands if band.high_um > form_um]  # none where it is NaN
         if cut:
-            notes.append(
+            yield (
                 f"{capital(in_words(title))} is a height above its form, which takes half of waves"
                 f" of {plain(form_um)}, and longer ones: in waves of {and_join(cut)} it varies less"
                 " than the face itself, and a gain for it is too large."
             )
-    if octaves.declared is False:
-        notes.append("The study declared other maps: these were chosen later.")
-    return notes
 
 
 def with_unit_of(text: str, units: str) -> str:
