@@ -175,6 +175,7 @@ def _end_process(status: int) -> None:
 
 
 def _as_planish_error(error: Exception) -> PlanishError:
+    """The sentence for a user; a fault of planish comes with a log of its details."""
     from planish.core.files import as_sentence
     from planish.installation import ANOTHER_CACHE, NO_CACHE, is_no_cache
 

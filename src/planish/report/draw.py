@@ -305,11 +305,11 @@ class Axes:
             return
         x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        known = np.ma.masked_invalid(values)
-        generator = contour_generator(x_um, y_um, known, line_type=LineType.Separate)
+        masked = np.ma.masked_invalid(values)
+        generator = contour_generator(x_um, y_um, masked, line_type=LineType.Separate)
         label_pixels = self.place(avoided)
         line_width, opacity = (1.4, 0.9) if labels else (0.8, 0.7)
-        for level in levels[(levels > known.min()) & (levels < known.max())]:
+        for level in levels[(levels > masked.min()) & (levels < masked.max())]:
             lines: Any = generator.lines(level)
             path = "".join(map(_path, map(self.place, lines)))
             self._stroke(path, "white", line_width, opacity=opacity)
@@ -427,16 +427,16 @@ class Canvas(Axes):
         ``log``: y in powers of ten; ``x_ticks``: places, texts.
         """
         x0, x1, y0, y1 = axes.extent
-        left = axes.x
+        left_px = axes.x
         bottom = axes.y + axes.height
-        self.line((left, left, left + axes.width), (axes.y, bottom, bottom))
+        self.line((left_px, left_px, left_px + axes.width), (axes.y, bottom, bottom))
         y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
         if x_ticks is None:
             x_ticks = _ticks(x0, x1, max_count=axes.width / 62)
         self.number_axes(axes, x_ticks, y_ticks)
-        self.text(left + axes.width / 2, bottom + 36, x_label, anchor="middle")
+        self.text(left_px + axes.width / 2, bottom + 36, x_label, anchor="middle")
         label_length = max((len(text) for _, text in y_ticks), default=0)
-        x = left - 18 - 6.4 * label_length
+        x = left_px - 18 - 6.4 * label_length
         self.text(x, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
 
     def number_axes(self, axes: Axes, x_ticks: Ticks, y_ticks: Ticks) -> None:

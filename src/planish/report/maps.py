@@ -84,6 +84,7 @@ class RunMaps:
         return self._by_layer(self._smaller)
 
     def _by_layer(self, read_group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
+        """Maps of each layer, of its own group or of that which a sheet and an image share."""
         maps_by_layer: dict[str, xr.Dataset] = {}
         if not self.results.is_link:
             return maps_by_layer

@@ -64,8 +64,8 @@ class Ground:
         shown = reduced(self.data, width=width - MARGIN)
         box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
         canvas = Canvas(width, box[1] + BELOW + 36)
-        left = (width - box[0] + MARGIN - 12) / 2
-        axes = canvas.map_axes(left, 4, box, shown, self.scale)
+        left_px = (width - box[0] + MARGIN - 12) / 2
+        axes = canvas.map_axes(left_px, 4, box, shown, self.scale)
         canvas.draw_scale_row(axes, 2, max_share=0.2)
         return canvas, axes
 

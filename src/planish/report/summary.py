@@ -161,8 +161,8 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
     if len(results.moving) == 1:
         return headline_pair(results, results.moving[0])
     reference = results.reference.name
-    known = [group for group in by_pair(results) if is_known(largest(group).r2)]
-    with_reference = [group for group in known if reference in (group[0].a, group[0].b)]
+    groups = [group for group in by_pair(results) if is_known(largest(group).r2)]
+    with_reference = [group for group in groups if reference in (group[0].a, group[0].b)]
     return min(with_reference, key=lambda group: largest(group).r2, default=[])
 
 
