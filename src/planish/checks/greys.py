@@ -280,19 +280,13 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     contrast_ratio = min(contrasts.values()) / max(contrasts.values())
     levels_text = " and ".join(f"{greys.coating(side):.4g} ({side})" for side in contrasts)
     faults = _coating_faults(scan, contrasts, contrast_ratio)
-    check = functools.partial(
-        rule.check,
-        sentence=" ".join(
-            [f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}.", *faults]
-        ),
-        value=contrast_ratio,
-        limit=_ALIKE,
-        units="share",
-    )
+    sentence = f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}."
+    check = functools.partial(rule.check, value=contrast_ratio, limit=_ALIKE, units="share")
     if not faults:
-        return check("pass")
+        return check("pass", sentence)
     return check(
         "look",
+        " ".join([sentence, *faults]),
         advice=(
             "Film, tape or fringes may have been taken for a coating. Look at the slices; crop the"
             " volume to the sheet."
@@ -348,8 +342,8 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     if level is None:
         level = 0.5 * (greys.base + np.nanmean([greys.coating_top, greys.coating_bottom]))
     columns = (greys.polarity * (scan.core_grey - level) > 0)[core.is_base]
-    # Along each column by itself.
-    labels, _ = ndimage.label(columns, [[0, 0, 0], [1, 1, 1], [0, 0, 0]])
+    along_column = [[0, 0, 0], [1, 1, 1], [0, 0, 0]]
+    labels, _ = ndimage.label(columns, along_column)
     sizes = np.bincount(labels.ravel())
     # What reaches the end of a column is coating that has run in.
     sizes[labels[:, [0, -1]]] = sizes[0] = 0
@@ -396,11 +390,10 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
         )
     names = [f"coating_{side}" for side in SIDES if f"coating_{side}" in measured]
     coatings = [measured[name].values for name in names]
-    thinnest_um = min(
-        (float(np.nanmedian(um)) for um in coatings if np.isfinite(um).any()), default=None
-    )
-    if thinnest_um is None:
+    medians_um = [float(np.nanmedian(um)) for um in coatings if np.isfinite(um).any()]
+    if not medians_um:
         return None
+    thinnest_um = min(medians_um)
     edge_um = FWHM * float(measured.attrs["blur_um"])
     width_um = float(np.fmax(edge_um, noise_width(scan.volume, measured)))
     cause_text = "An edge is blurred" if width_um == edge_um else "The noise is smoothed"
@@ -446,7 +439,8 @@ def _mean_products(grey: Floats) -> Floats:
     grey = grey - grey.mean()
     lags = np.zeros(_LAGS)
     for turned in (grey, grey.swapaxes(0, 1)):
-        lags += [0.5 * np.mean(turned[k:] * turned[: len(turned) - k]) for k in range(_LAGS)]
+        for k in range(_LAGS):
+            lags[k] += 0.5 * np.mean(turned[k:] * turned[: len(turned) - k])
     return lags
 
 
@@ -480,8 +474,8 @@ def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
 
 def _spread_slices(size: int) -> list[slice]:
     """Four places for a block along an axis, away from its ends."""
-    starts = np.unique(np.linspace(0, size - _EDGE, 6)[1:-1].astype(int)).tolist()
-    return [slice(start, start + _EDGE) for start in starts]
+    starts = np.linspace(0, size - _EDGE, 6)[1:-1].astype(int)
+    return [slice(start, start + _EDGE) for start in np.unique(starts).tolist()]
 
 
 def _within(places_um: Floats, block_um: Floats) -> Bools:
@@ -506,16 +500,17 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
             near_share = float(np.mean((grey != end_grey) & (np.abs(grey - end_grey) < near_width)))
             if end_share > SPIKE * near_share and end_share > clipped_share:
                 clipped_share, tone = end_share, end_tone
-    return rule.at_most(
-        clipped_share,
-        look=0.01,
-        units="share",  # from which on a correlation suffers
-        sentence=(
+    sentence = "The image's grey scale does not end within the sheet's greys."
+    if clipped_share > 0.01:
+        sentence = (
             f"{100 * clipped_share:.2g} % of the image's pixels on the sheet are as {tone} as its"
             " scale allows."
-            if clipped_share > 0.01
-            else "The image's grey scale does not end within the sheet's greys."
-        ),
+        )
+    return rule.at_most(
+        clipped_share,
+        look=0.01,  # from which on a correlation suffers
+        units="share",
+        sentence=sentence,
         advice=(
             "The true grey of these pixels is lost, and r is too weak. Take the image again with"
             " another exposure, or export it with a wider grey window."

@@ -130,10 +130,9 @@ def tilt(rule: CheckRule, registered: JudgedRegistration) -> Check | None:
     hole_tilt = registered.facts.tilt
     if hole_tilt is None or hole_tilt.tilt_deg is None or hole_tilt.offset_count < 4:
         return None
-    angle_deg, offset_um, offset_error_um = (
-        float(np.linalg.norm(np.array(v, dtype=np.float64)))
-        for v in (hole_tilt.tilt_deg, hole_tilt.offset_um, hole_tilt.offset_error_um)
-    )
+    vectors = (hole_tilt.tilt_deg, hole_tilt.offset_um, hole_tilt.offset_error_um)
+    lengths = (float(np.linalg.norm(np.array(v, dtype=np.float64))) for v in vectors)
+    angle_deg, offset_um, offset_error_um = lengths
     error_deg = offset_error_um * (angle_deg / max(offset_um, 1e-9) / np.sqrt(2))
     limit_deg = max(1.5, 4.0 * error_deg)  # of holes burnt from above
     end_text = ", all to one side" if angle_deg > limit_deg else " on average"
@@ -244,19 +243,20 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     grid = Grid.of(linked.sheet)
     thickness = linked.sheet["thickness"]
     marks = linked.marks
-    unpaired = marks.isel(
-        mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"]))
-    )
+    is_unpaired = np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])
+    unpaired = marks.isel(mark=np.flatnonzero(is_unpaired))
     whole_labels: list[str] = []
     circles = zip(*(unpaired[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
     for label, (x, y, diameter) in zip(unpaired["label"].values, circles, strict=True):
         # The middle of a hole, where no sheet is.
-        dy, dx, core_um = grid.y_um - y, grid.x_um - x, 0.35 * diameter
+        dy = grid.y_um - y
+        dx = grid.x_um - x
+        core_um = 0.35 * diameter
         rows, cols = (np.flatnonzero(np.abs(offset) < core_um) for offset in (dy, dx))
         is_inside = np.hypot(dy[rows][:, None], dx[cols]) < core_um
         if not is_inside.any():
             continue
-        core_thickness = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
+        core_thickness = thickness.isel(y=rows, x=cols).values
         if np.isfinite(core_thickness)[is_inside].mean() > 0.7:
             whole_labels.append(str(label))
     n_unpaired = unpaired.sizes["mark"]

@@ -6,6 +6,7 @@ Also what makes checks of its rows, and what these leave of the figures.
 from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import repeat
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import xarray as xr
@@ -40,6 +41,7 @@ from planish.results import (
 )
 
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
+_pair_of = attrgetter("a", "a_map", "b", "b_map")  # maps of two layers
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
 _ABOVE_FORM = (*HEIGHTS, "roughness_top", "roughness_bottom")
@@ -195,22 +197,15 @@ def apply_checks(results: Results) -> Results:
         return results
     rows = rows_with_trust(results.correlations, checks)
     layer_names = [layer.name for layer in results.layers]
-    withheld_pairs = {
-        (row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"
-    }
-    return results.model_copy(
-        update={
-            "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
-            "correlations": rows,
-            "comparison": tuple(
-                _marked(row, checks, layer_names, row.property, POSITION, CORRELATION)
-                for row in results.comparison
-            ),
-            "evidence": tuple(
-                e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld_pairs
-            ),
-        }
+    withheld_pairs = {_pair_of(row) for row in rows if row.trust == "withheld"}
+    layers = tuple(_layer_with_trust(layer, checks) for layer in results.layers)
+    comparison = tuple(
+        _marked(row, checks, layer_names, row.property, POSITION, CORRELATION)
+        for row in results.comparison
     )
+    evidence = tuple(e for e in results.evidence if _pair_of(e) not in withheld_pairs)
+    update = {"layers": layers, "correlations": rows, "comparison": comparison}
+    return results.model_copy(update=update | {"evidence": evidence})
 
 
 def rows_with_trust(
@@ -236,15 +231,16 @@ def rows_with_trust(
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     updates: dict[str, Any] = {}
+    layers = (layer.name,)
     if (sheet := layer.sheet) is not None:
-        properties = {k: _marked(p, checks, (layer.name,), k) for k, p in sheet.properties.items()}
+        properties = {k: _marked(p, checks, layers, k) for k, p in sheet.properties.items()}
         # The sheet's numbers are made of the maps.
         is_withheld = any(p.trust == "withheld" for p in properties.values())
         numbers = None if is_withheld else sheet.numbers
         updates["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
     r = layer.registration
     if r is not None and r.expected_error is not None:
-        error = _marked(r.expected_error, checks, (layer.name,), POSITION)
+        error = _marked(r.expected_error, checks, layers, POSITION)
         updates["registration"] = r.model_copy(update={"expected_error": error})
     return layer.model_copy(update=updates)
 

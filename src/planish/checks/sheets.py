@@ -92,7 +92,8 @@ def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 
     None for neither.
     """
-    covers = {side: float(sheet.measured.attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
+    attrs = sheet.measured.attrs
+    covers = {side: float(attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
     covers_text = " and ".join(
         f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um
     )
@@ -109,12 +110,11 @@ def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
                 " Take it off, or fill it with the grey of the air, and scan or map again."
             ),
         )
-    if not (beside_text := sheet.measured.attrs.get("beside")):
+    if not (beside_text := attrs.get("beside")):
         return None
-    gap_um = float(sheet.measured.attrs["beside_gap_um"])
     return rule.at_least(
-        gap_um,
-        look=2 * _BLUR_REACH * blur_reach_um(sheet.measured.attrs),
+        float(attrs["beside_gap_um"]),
+        look=2 * _BLUR_REACH * blur_reach_um(attrs),
         units="um",
         sentence=f"Beside the sheet lies something flat that was left out: {beside_text}.",
         advice=(
@@ -268,7 +268,8 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
             "unknown", "There are too few voxels across the sheet to tell one sheet from two."
         )
     # In a tile a few columns side by side may lie in one pore.
-    is_seen = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
+    n_whole = np.isfinite(profiles).all(axis=2).sum(axis=1)
+    is_seen = n_whole >= max(5, 1 / 3 * core.shape[1])
     n_seen = np.count_nonzero(is_seen)
     if n_seen < 10:
         return rule.check(
@@ -286,11 +287,11 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
     deficit = (np.copysign(1.0, contrast) * (mean_grey - mean) - doubt) / abs(contrast)
     is_dark = deficit.max(axis=1) > 0.4
+    dark_tiles = np.zeros([numbers.max() + 1 for numbers in core.tiles], bool)
     row, col = (numbers[is_seen][is_dark] for numbers in core.tiles)
-    dark_tiles = np.zeros((row.max(initial=0) + 1, col.max(initial=0) + 1), bool)
     dark_tiles[row, col] = True
-    # Side by side.
-    n_dark = int(np.bincount(ndimage.label(dark_tiles)[0].ravel())[1:].max(initial=0))
+    side_by_side, _ = ndimage.label(dark_tiles)
+    n_dark = int(np.bincount(side_by_side[dark_tiles]).max(initial=0))
     median_profiles = np.nanmedian(profiles, axis=1)
     # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation,
     # 1.253 of the median.
@@ -355,15 +356,18 @@ def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
 
     None where no coating was measured.
     """
+    measured = scan.measured
     name = f"coating_{side}"
-    if name not in scan.measured:
+    if name not in measured:
         return None
-    coating = scan.measured[name].values.astype(np.float64)
-    face = np.abs(scan.measured[side].values.astype(np.float64) - scan.measured["centre"].values)
-    particles = find_particles(coating, face, pitch(scan.measured))
+    coating = measured[name].values.astype(np.float64)
+    heights = measured[side].values.astype(np.float64)
+    face = np.abs(heights - measured["centre"].values)
+    particles = find_particles(coating, face, pitch(measured))
     if particles.area_mm2 < _LEAST_MM2:
         return None
-    covered_percent = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
+    n_measured = np.count_nonzero(np.isfinite(coating))
+    covered_percent = 100 * np.count_nonzero(particles.mask) / n_measured
     return rule.at_most(
         particles.per_mm2,
         look=1.0,
@@ -391,9 +395,8 @@ def find_particles(coating: Floats, face: Floats, pitch_um: Pair) -> Particles:
     ``face`` is the distance of the face from the centre surface: a coating that fills a valley is
     thick, but level.
     """
-    is_measured = np.isfinite(coating)
     cell_um2 = pitch_um[0] * pitch_um[1]
-    area_mm2 = float(is_measured.sum()) * cell_um2 * 1e-6
+    area_mm2 = np.count_nonzero(np.isfinite(coating)) * cell_um2 * 1e-6
     if area_mm2 < _LEAST_MM2:
         return Particles(np.zeros(coating.shape, bool), 0, 0.0, area_mm2)
     excess, face_excess = (values - _median_around(values, pitch_um) for values in (coating, face))
@@ -402,29 +405,25 @@ def find_particles(coating: Floats, face: Floats, pitch_um: Pair) -> Particles:
     is_large = np.bincount(labels.ravel(), minlength=n + 1) * cell_um2 >= 400.0  # um2
     is_large[0] = False
     count = int(is_large.sum())
-    return Particles(is_large[labels], count, count / max(area_mm2, 1e-9), area_mm2)
+    return Particles(is_large[labels], count, count / area_mm2, area_mm2)
 
 
 def _median_around(coating: Floats, pitch_um: Pair) -> Floats:
     """Median of 300 um around every column, from medians of cells of a tenth."""
-    cell_edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
-    cell_counts = [max(n // e, 1) for n, e in zip(coating.shape, cell_edges, strict=True)]
-    cropped = coating[: cell_counts[0] * cell_edges[0], : cell_counts[1] * cell_edges[1]]
-    shape = (
-        cell_counts[0],
-        min(cell_edges[0], coating.shape[0]),
-        cell_counts[1],
-        min(cell_edges[1], coating.shape[1]),
-    )
-    cells = cropped.reshape(shape).transpose(0, 2, 1, 3).reshape(cell_counts[0], cell_counts[1], -1)
-    medians = np.full(cells.shape[:2], np.nan)
+    edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
+    rows, cols = coating.shape
+    height = min(edges[0], rows)
+    width = min(edges[1], cols)
+    shape = (rows // height, cols // width)
+    cropped = coating[: shape[0] * height, : shape[1] * width]
+    by_cell = cropped.reshape(shape[0], height, shape[1], width).swapaxes(1, 2)
+    cells = by_cell.reshape(*shape, -1)
+    medians = np.full(shape, np.nan)
     is_measured = np.isfinite(cells).any(axis=2)
     medians[is_measured] = np.nanmedian(cells[is_measured], axis=1)
     medians[~is_measured] = np.nanmedian(medians) if is_measured.any() else 0.0
     coarse = ndimage.median_filter(medians, size=_COARSE, mode="nearest")
-    coordinates = [
-        (np.arange(n) + 0.5) / e - 0.5 for n, e in zip(coating.shape, cell_edges, strict=True)
-    ]
-    return ndimage.map_coordinates(
-        coarse, np.meshgrid(*coordinates, indexing="ij"), order=1, mode="nearest"
-    )
+    row_places = (np.arange(rows) + 0.5) / edges[0] - 0.5
+    col_places = (np.arange(cols) + 0.5) / edges[1] - 0.5
+    places = np.meshgrid(row_places, col_places, indexing="ij")
+    return ndimage.map_coordinates(coarse, places, order=1, mode="nearest")

@@ -65,12 +65,12 @@ _ADVICE: dict[Kind, str] = {
 _SENTENCES: dict[Kind, tuple[str, ...]] = {
     "exchanged": ("Slices {f.first} and {f.last} along {axis} are exchanged.",),
     "moved": (
-        "Slices along {axis} are not in order: slice {f.first} does not follow {before}, and slice"
-        " {f.other} fits there.",
+        "Slices along {axis} are not in order: slice {f.first} does not follow {f.previous}, and"
+        " slice {f.other} fits there.",
     ),
     "repeated": (
-        "Slice {f.first} along {axis} is a copy of {sources}.",
-        "Slices {f.first}-{f.last} along {axis} are copies of {sources}.",
+        "Slice {f.first} along {axis} is a copy of {f.sources}.",
+        "Slices {f.first}-{f.last} along {axis} are copies of {f.sources}.",
     ),
     "filled": (
         "Slice {f.first} along {axis} is the mean of the neighbours, not measured.",
@@ -82,8 +82,8 @@ _SENTENCES: dict[Kind, tuple[str, ...]] = {
         "Slices {f.first}-{f.last} along {axis} show nothing, while the neighbours do.",
     ),
     "jump": (
-        "Between slices {f.first} and {f.last} along {axis} the specimen changes as if {missing}"
-        " missing.",
+        "Between slices {f.first} and {f.last} along {axis} the specimen changes as if"
+        " {f.missing} missing.",
     ),
 }
 
@@ -107,6 +107,27 @@ class Fault:
     def count(self) -> int:
         """Slices that are wrong; a jump counts as one."""
         return 1 if self.kind == "jump" else self.last - self.first + 1
+
+    @property
+    def previous(self) -> int:
+        """Slice before the first one."""
+        return self.first - 1
+
+    @property
+    def sources(self) -> str:
+        """Name the slices that these repeat."""
+        # Slices that all repeat one slice have no room for as many others.
+        if self.other is None or self.first == self.last or self.first - self.other < self.count:
+            return f"{self.other}"
+        return f"{self.other}-{self.other + self.count - 1}"
+
+    @property
+    def missing(self) -> str:
+        """Say how many slices a jump leaves out."""
+        if math.isnan(self.steps):
+            return "several slices were"
+        count = max(round(self.steps), 1)
+        return f"some {count} {'slice was' if count == 1 else 'slices were'}"
 
     def shifted(self, n: int) -> Fault:
         """Return the same fault where slices are counted from ``n`` slices before."""
@@ -171,24 +192,7 @@ def _sentence(listed_faults: list[Fault], fault_count: int, axis: Axis) -> str:
 def _fault_sentence(f: Fault, axis: Axis) -> str:
     texts = _SENTENCES[f.kind]
     template = texts[-1] if f.last > f.first else texts[0]
-    return template.format(
-        f=f, axis=axis, before=f.first - 1, sources=_sources(f), missing=_missing(f.steps)
-    )
-
-
-def _sources(f: Fault) -> str:
-    """Name the slices that others repeat."""
-    # Slices that all repeat one slice have no room for as many others.
-    if f.other is None or f.first == f.last or f.first - f.other < f.count:
-        return f"{f.other}"
-    return f"{f.other}-{f.other + f.count - 1}"
-
-
-def _missing(steps: float) -> str:
-    if math.isnan(steps):
-        return "several slices were"
-    count = max(round(steps), 1)
-    return f"some {count} {'slice was' if count == 1 else 'slices were'}"
+    return template.format(f=f, axis=axis)
 
 
 def find_faults(window: Window, *, assembled: bool, levelled: bool) -> list[Fault]:
@@ -254,9 +258,8 @@ class _Stack:
 
     def scatter(self, k: Ints) -> Floats:
         """Relative standard error of ``d1`` at ``k``."""
-        fourth = np.array(
-            [_square(np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) ** 2, 0.0) for i in k]
-        )
+        steps = (np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) for i in k)
+        fourth = np.array([_square(step**2, 0.0) for step in steps])
         excess = fourth / np.maximum(self.d1[k] ** 2, _TINY) - 1
         return np.sqrt(np.maximum(excess, 0) / self.s[0].size)
 
@@ -287,12 +290,13 @@ def _around(values: Floats) -> Floats:
 
 
 def _bends(s: Array) -> Floats:
-    return np.array([_square(0.5 * (a + c), b) for a, b, c in zip(s, s[1:], s[2:], strict=False)])
+    means = (0.5 * (before + after) for before, after in zip(s, s[2:], strict=False))
+    return np.array([*map(_square, means, s[1:])])
 
 
 def _differences(s: Array, lag: int) -> Floats:
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
-    return np.array([_square(a, b) for a, b in zip(s[lag:], s[:-lag], strict=True)])
+    return np.array([*map(_square, s[lag:], s[:-lag])])
 
 
 def _square(a: Array, b: Array | float) -> float:
@@ -305,14 +309,13 @@ def _log(differences: Floats) -> Floats:
     return np.log(np.maximum(differences, _TINY))
 
 
-def _empty(t: _Stack) -> Iterable[Fault]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], t.is_visible, [True]]).astype(np.int8)))
+def _empty(t: _Stack) -> Iterator[Fault]:
+    # The first and the last slice of a stack show something.
+    edges = np.flatnonzero(np.diff(t.is_visible)) + 1
     usual = _FULL * float(np.median(t.slice_sd))
-    return [
-        Fault(kind="empty", first=int(a), last=int(b) - 1)
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-        if min(t.slice_sd[a - 1], t.slice_sd[b]) > usual
-    ]
+    for first, stop in edges.reshape(-1, 2).tolist():
+        if min(t.slice_sd[first - 1], t.slice_sd[stop]) > usual:
+            yield Fault(kind="empty", first=first, last=stop - 1)
 
 
 def _foreign(t: _Stack) -> Iterator[Fault]:
@@ -321,7 +324,8 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
     Each may be a copy of another slice, fit elsewhere, or be of another body.
     """
     indices = np.arange(1, t.d1.size)
-    ratio = np.minimum(t.d1[:-1], t.d1[1:]) / np.maximum(t.d2, _TINY)
+    smaller = np.minimum(t.d1[:-1], t.d1[1:])
+    ratio = smaller / np.maximum(t.d2, _TINY)
     copied: set[int] = set()
     for k in indices[(ratio > FOREIGN) & t.all_good(indices, 1)].tolist():
         differences = t.differences_from(k)
@@ -367,13 +371,12 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     """Pairs of neighbours that fit better the other way round."""
     k = np.arange(1, t.d1.size - 1)
     crossed = np.maximum(t.d2[:-1], t.d2[1:])
-    ratio = np.minimum(t.d1[:-2], t.d1[2:]) / np.maximum(crossed, _TINY)
+    smaller = np.minimum(t.d1[:-2], t.d1[2:])
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
-    is_exchanged = ratio > limit
+    is_exchanged = smaller / np.maximum(crossed, _TINY) > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
-    d3 = _differences(t.s, 3)
-    outer_differences = np.max([t.d1[: d3.size], t.d1[2 : d3.size + 2], d3], axis=0)
-    pairs = np.flatnonzero(t.d1[1 : d3.size + 1] > limit[: d3.size] * outer_differences)
+    largest = np.max([t.d1[:-2], t.d1[2:], _differences(t.s, 3)], axis=0)
+    pairs = np.flatnonzero(t.d1[1:-1] > limit * largest)
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     is_exchanged |= np.isin(k, pairs) | np.isin(k, pairs + 2)
     last = -1
@@ -475,7 +478,8 @@ def _jump(t: _Stack, k: int) -> Fault:
     if differences[nearest] < min(_FITS * usual, 0.6 * t.d1[k]):
         # That slice is at an end of the stack, or does not continue a neighbour of its own.
         limit = 1.3 * np.median(t.d1[max(nearest - 4, 0) : nearest + 4])
-        if nearest in (0, t.d1.size) or max(t.d1[nearest - 1], t.d1[nearest]) > limit:
+        is_at_end = nearest in (0, t.d1.size)
+        if is_at_end or t.d1[nearest - 1 : nearest + 1].max() > limit:
             return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
     return Fault(kind="jump", first=k, last=k + 1, steps=_missing_steps(t, k))
 
@@ -485,12 +489,13 @@ def _missing_steps(t: _Stack, k: int) -> float:
 
     As far apart slices beside the jump must be to differ as much.
     """
-    segments = t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]
+    before = t.s[max(k - 40, 0) : k + 1]
+    after = t.s[k + 1 : k + 42]
     jump_difference = float(t.d1[k])
     previous_median = 0.0
     for lag in range(1, 21):
         lag_differences = [
-            _differences(segment, lag) for segment in segments if len(segment) > lag + 2
+            _differences(part, lag) for part in (before, after) if len(part) > lag + 2
         ]
         median = float(np.median(np.concatenate(lag_differences))) if lag_differences else 0.0
         if median >= jump_difference:

@@ -85,22 +85,21 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     tiles = [max(1, round(80.0 / step)) for step in steps]
     rows, cols = (np.arange(n) // k for n, k in zip(response.shape, tiles, strict=True))
     is_good = np.isfinite(response) & np.isfinite(slope_squared)
-    tile_number = (rows[:, None] * (cols[-1] + 1) + cols)[is_good]
-    n_tiles = (rows[-1] + 1) * (cols[-1] + 1)
+    tile_shape = (rows[-1] + 1, cols[-1] + 1)
+    n_tiles = tile_shape[0] * tile_shape[1]
+    tile_number = (rows[:, None] * tile_shape[1] + cols)[is_good]
     count = np.bincount(tile_number, minlength=n_tiles)
     is_used = count >= 0.5 * tiles[0] * tiles[1]
     if np.count_nonzero(is_used) < 4 * _BLOCKS:
         return SlopeScale(1.0, np.inf)
-    y, m2 = (
-        np.bincount(tile_number, k[is_good], n_tiles)[is_used] / count[is_used]
-        for k in (response, slope_squared)
-    )
-    tile_shape = (rows[-1] + 1, cols[-1] + 1)
+    sums = (np.bincount(tile_number, k[is_good], n_tiles) for k in (response, slope_squared))
+    y, m2 = (of_tiles[is_used] / count[is_used] for of_tiles in sums)
     positions = np.argwhere(is_used.reshape(tile_shape)) / tile_shape
     block = np.floor(positions * _BLOCKS) @ [_BLOCKS, 1]
     design = np.column_stack([np.ones(y.size), m2, positions - positions.mean(axis=0)])
     scale_squared = _ratio(design, y)
-    leave_one_out = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
+    without_one = (block != k for k in np.unique(block))
+    leave_one_out = np.array([_ratio(design[is_left], y[is_left]) for is_left in without_one])
     deviations = leave_one_out - leave_one_out.mean()
     spread = np.sqrt((deviations.size - 1) * np.mean(deviations**2))
     if not (np.isfinite(scale_squared) and np.isfinite(spread)):
@@ -122,17 +121,13 @@ def scale_by_thickness(rule: CheckRule, sheet: MeasuredSheet | RegisteredSheet) 
                 f" voxel spacing of {stated_um:.4g} um along {axis} is right; marks can say more."
             ),
         )
-    return rule.check(
-        "look" if slope.excludes_one else "pass",
-        value=slope.scale,
-        limit=_limit(slope.scale, float(np.hypot(slope.error, _NATURAL))),
-        sentence=(
-            f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope}"
-            f" times the stated one of {stated_um:.4g} um."
-        ),
-        advice=_ADVICE.format(axis=axis) if slope.excludes_one else "",
-        remedy=_REMEDY if slope.excludes_one else "",
+    state: State = "look" if slope.excludes_one else "pass"
+    sentence = (
+        f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope}"
+        f" times the stated one of {stated_um:.4g} um."
     )
+    error = float(np.hypot(slope.error, _NATURAL))
+    return _judged(rule, axis, state, sentence, slope.scale, error)
 
 
 def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
@@ -176,14 +171,18 @@ def judge_marks(
         if sheet.either:
             state = "look"
             sentence += " The other sheet's may be wrong as well."
-    return rule.check(
-        state,
-        sentence,
-        value=marks.scale,
-        limit=_limit(marks.scale, scale_error),
-        advice=_ADVICE.format(axis=axis) if is_off else "",
-        remedy=_REMEDY if is_off else "",
-    )
+    return _judged(rule, axis, state, sentence, marks.scale, scale_error)
+
+
+def _judged(
+    rule: CheckRule, axis: str, state: State, sentence: str, scale: float, error: float
+) -> Check:
+    """Make the check of a scale with its error; what to do where the spacing is not right."""
+    limit = 1 + float(np.copysign(_BEYOND * error, scale - 1))
+    check = rule.check(state, sentence, value=scale, limit=limit)
+    if state == "pass":
+        return check
+    return check.model_copy(update={"advice": _ADVICE.format(axis=axis), "remedy": _REMEDY})
 
 
 def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
@@ -222,10 +221,6 @@ def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
 def _spacing(sheet: MeasuredSheet | RegisteredSheet) -> tuple[str, float]:
     axis = Frame.of(sheet.measured).through
     return axis, float(sheet.measured.attrs["voxel_um"]["zyx".index(axis)])
-
-
-def _limit(scale: float, error: float) -> float:
-    return 1 + float(np.copysign(_BEYOND * error, scale - 1))
 
 
 def _ratio(design: Floats, response: Floats) -> float:
