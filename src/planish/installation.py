@@ -360,6 +360,7 @@ def _packages() -> Check:
 
 
 def _extra(extra: str, purpose: str) -> Check:
+    """Check the packages of an optional part: installed, missing, or of a wrong version."""
     name = f"extra {extra}"
     requirements = _requirements(extra)
     if requirements is None:

@@ -71,8 +71,8 @@ def paired_difference(
     for m in maps[2:]:
         on_one_grid(maps[0], m, pixel_um)
     is_valid = valid_in_all(maps)
-    of_first, of_second = ([m[is_valid] for m in pair] for pair in (first, second))
-    r = (pearson(*of_first), pearson(*of_second))
+    old_a, old_b, new_a, new_b = (m[is_valid] for m in maps)
+    r = (pearson(old_a, old_b), pearson(new_a, new_b))
     without_interval = Difference(r=r, difference=r[1] - r[0])
     if not all(1 - v * v >= 1e-14 for v in r):
         return without_interval

@@ -49,6 +49,8 @@ def explained_over_sheets(
     n = sum(model.n for model in of_models)
     n_eff = sum(model.n_eff for model in of_models)
     model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
+    r2 = over_sheets(_fields("r2", of_models, sheet_of_model))
+    r2_out = over_sheets(_fields("r2_out", of_models, sheet_of_model))
     return ExplainedSeries(
         **{name: getattr(first, name) for name in model_fields},
         declared=first.declared if len(declared) == 1 else False,
@@ -56,8 +58,8 @@ def explained_over_sheets(
         fields=len(models),
         n=n,
         n_eff=n_eff,
-        r2=over_sheets(_fields("r2", of_models, sheet_of_model)).mean,
-        r2_out=over_sheets(_fields("r2_out", of_models, sheet_of_model)).mean,
+        r2=r2.mean,
+        r2_out=r2_out.mean,
         coefficients=coefficients,
         lead=lead.mean,
         lead_interval=lead.interval,

@@ -172,6 +172,14 @@ def _change(session: Session, body: _ChangeBody) -> None:
     session.change(body.change, version=body.version)
 
 
+def _undo(session: Session, body: _Body) -> None:
+    session.undo(version=body.version)
+
+
+def _redo(session: Session, body: _Body) -> None:
+    session.redo(version=body.version)
+
+
 def _snap(session: Session, body: _SnapBody) -> str:
     layer = body.layer or session.state.first_layer
     mark = session.state.mark(layer, body.id)
@@ -273,8 +281,8 @@ ROUTES = [
     route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
     route("/api/change", _changing(_ChangeBody, _change), "POST"),
-    route("/api/undo", _changing(_Body, lambda s, body: s.undo(version=body.version)), "POST"),
-    route("/api/redo", _changing(_Body, lambda s, body: s.redo(version=body.version)), "POST"),
+    route("/api/undo", _changing(_Body, _undo), "POST"),
+    route("/api/redo", _changing(_Body, _redo), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

@@ -158,7 +158,8 @@ class Rectangle:
 
     def on(self, picture: PlanePicture, level: int = 0) -> Window:
         """Rows and columns of a level of a picture; InputError where it holds none of them."""
-        grid, (dy, dx) = Grid.of(picture.levels[level]), picture.grid.pixel_um
+        grid = Grid.of(picture.levels[level])
+        dy, dx = picture.grid.pixel_um
         rows = _pixels_between(grid.y_um, self.y0, self.y1, dy)
         cols = _pixels_between(grid.x_um, self.x0, self.x1, dx)
         if rows.start >= rows.stop or cols.start >= cols.stop:
@@ -241,9 +242,8 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
 def _pixels_between(centres_um: Floats, low_um: float, high_um: float, pixel_um: float) -> slice:
     # a border through the middle of a pixel takes it in, whatever was rounded.
     slack_um = 1e-6 * pixel_um
-    low_um, high_um = min(low_um, high_um) - slack_um, max(low_um, high_um) + slack_um
-    first = np.searchsorted(centres_um, low_um, "left")
-    end = np.searchsorted(centres_um, high_um, "right")
+    first = np.searchsorted(centres_um, min(low_um, high_um) - slack_um, "left")
+    end = np.searchsorted(centres_um, max(low_um, high_um) + slack_um, "right")
     return slice(int(first), int(end))
 
 

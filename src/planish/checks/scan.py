@@ -69,14 +69,14 @@ def read_scan(
         assembled_axes = ("z",)
     heights = np.asarray(volume.coords[through].values, dtype=np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
-    low, high = np.clip(
-        np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)]), 0, heights.size - 1
-    )
-    greys, core = (None, None) if labels else (Greys.of(measured), core_places(volume, measured))
+    ends = np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)])
+    first, last = np.minimum(ends, heights.size - 1).tolist()
+    greys = None if labels else Greys.of(measured)
+    core = None if labels else core_places(volume, measured)
     reading = read_windows(
         volume,
         through=through,
-        sheet_slices=(int(low), int(high)),
+        sheet_slices=(first, last),
         points=None if core is None else core.points,
         fill_grey=0.0 if greys is None else greys.air,
         threads=threads,
@@ -91,7 +91,8 @@ def read_scan(
     }
     if greys is None or core is None:
         return ScannedSheet(**fields)
-    grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
+    grey = reading.grey.reshape(core.shape)
+    grey[~core.is_base] = np.nan
     return GreyScan(**fields, greys=greys, sample=reading.sample, core=core, core_grey=grey)
 
 
@@ -100,11 +101,9 @@ def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
     frame = Frame.of(measured)
     voxel_um = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
     thickness_um = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
-    slopes = (
-        np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i)))
-        for i, p in enumerate(pitch(measured))
-    )
-    cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in slopes))
+    slopes = np.gradient(measured["centre"].values, *pitch(measured))
+    medians = [float(np.nanmedian(np.abs(slope))) for slope in slopes]
+    cosine = 1 / np.sqrt(1 + sum(median**2 for median in medians))
     # Along the normal, the voxel is as long as its sides let it be.
     side_um = max(voxel_um[frame.rows], voxel_um[frame.cols])
     normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * side_um
@@ -140,9 +139,8 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
         depth_index = np.rint((height - heights[0]) / step_um).astype(np.int32)
         points[..., k, "zyx".index(frame.through)] = np.clip(depth_index, 0, heights.size - 1)
     points[~is_base] = 0
-    return Core(
-        points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base, tiles=tiles
-    )
+    shape = (*r.shape, depths)
+    return Core(points=points.reshape(-1, 3), shape=shape, is_base=is_base, tiles=tiles)
 
 
 def _base_end(measured: xr.Dataset, side: str) -> Floats:
@@ -169,8 +167,6 @@ def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints, t
     # Of a large sheet squares of tiles, so that what lies side by side is seen side by side.
     is_chosen = (row // _SQUARE + col // _SQUARE) % -(-row.size // _TILES) == 0
     row, col = row[is_chosen], col[is_chosen]
-    return (
-        np.repeat(rows[row], cols.shape[1], axis=1),
-        np.tile(cols[col], rows.shape[1]),
-        (row, col),
-    )
+    all_rows = np.repeat(rows[row], cols.shape[1], axis=1)
+    all_cols = np.tile(cols[col], rows.shape[1])
+    return all_rows, all_cols, (row, col)

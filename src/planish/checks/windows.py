@@ -79,7 +79,8 @@ def read_windows(
     axes: tuple[Axis, ...] = ("z", "y", "x")
     boxes: dict[Axis, Box] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}
     points = np.empty((0, 3), np.int32) if points is None else points
-    wanted = _by_window(points, list(boxes.values()))
+    in_order = list(boxes.values())
+    wanted = _by_window(points, in_order)
 
     def read(piece: slice, axis: Axis, indices: Index, z: Places) -> _Part | None:
         part = indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))]
@@ -88,9 +89,9 @@ def read_windows(
         )
 
     jobs: list[tuple[slice, Axis, Index, Places]] = [
-        (piece, axis, indices, z)
-        for piece in _pieces(volume, [*boxes.values()])
-        for axis, (indices, z) in zip(axes, wanted, strict=True)
+        (piece, axis, *points_with_z)
+        for piece in _pieces(volume, in_order)
+        for axis, points_with_z in zip(axes, wanted, strict=True)
     ]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
@@ -173,10 +174,10 @@ def _read_part(
         if last_slices is not None:
             n_before = last_slices.shape[k]
             greys = np.concatenate([last_slices, greys], axis=k)
-        parts.append(
-            _Part(_part_sums(greys, axis, n_before, fill_grey, edge), sample, indices, grey)
-        )
-        last_slices = greys.take(range(max(greys.shape[k] - 2, 0), greys.shape[k]), axis=k)
+        cut_sums = _part_sums(greys, axis, n_before, fill_grey, edge)
+        parts.append(_Part(cut_sums, sample, indices, grey))
+        n = greys.shape[k]
+        last_slices = greys.take(range(max(n - 2, 0), n), axis=k)
     if len(parts) == 1:
         return parts[0]
     sums, *greys_of_parts = zip(*parts, strict=True)

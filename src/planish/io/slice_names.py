@@ -128,7 +128,7 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], Texts]:
 
 def _all_rise(columns: Sequence[Sequence[Any]], order: list[int]) -> bool:
     """True if the entries of all columns rise, or stay, in an order."""
-    return all(sorted(column) == [column[i] for i in order] for column in columns)
+    return all(sorted(column) == [*map(column.__getitem__, order)] for column in columns)
 
 
 def _number_columns(files: list[Path]) -> list[list[int]]:

@@ -181,7 +181,8 @@ def with_declared_scales(run: Run) -> Run:
 
 def _band_maps(source: NamedMap, name: str) -> dict[str, xr.DataArray]:
     """A map by octaves on its pixels, by names that state their waves."""
-    values, like = _counted(source), source.values
+    like = source.values
+    values = _counted(source)
     field = OctaveField(np.isfinite(values), Grid.of(like).pixel_um)
     title = str(like.attrs.get("long_name", name))
     bands: dict[str, xr.DataArray] = {}

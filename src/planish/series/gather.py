@@ -180,13 +180,14 @@ def _summary(member: Member, results: Results) -> RunSummary:
     images = layers.get("image", [])
     headlines = dict.fromkeys(layer.headline for layer in sheets)
     thin_um = results.parameters.get("correlate", {}).get("thin_um")
+    stated_thin_um = float(thin_um) if isinstance(thin_um, int | float) else None
     return RunSummary(
         specimen=_specimen(member, results),
         sheets=tuple(layer.name for layer in sheets),
         images=tuple(layer.name for layer in images),
         headlines=tuple(headlines),
         volumes=tuple(layer.source.sha256 for layer in sheets),
-        thin_um=float(thin_um) if isinstance(thin_um, int | float) else None,
+        thin_um=stated_thin_um,
         column_um=max(chain.from_iterable(map(_widths_um, sheets)), default=None),
         instruments=tuple(_instruments(member, results)),
     )

@@ -116,6 +116,7 @@ class _Regression:
     """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
     def __init__(self, weight: Floats, pitch: Pair, cutoff: float) -> None:
+        """Prepare what depends on the weights (rows, cols) only; pitch and cut-off in um."""
         # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H
         # passes lambda by half (ISO 16610-31); applied twice, 1 - (1 - H)^2, it does so with a
         # wider weight.

@@ -217,7 +217,8 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> It
     block_planes = max(SLICES_VOXELS // max(plane_voxels, 1) // chunk_planes, 1) * chunk_planes
     first, last = planes.start, planes.stop
     if frame.rows == "z":
-        first, last = int(rows[0]), int(rows[-1]) + 1
+        first = int(rows[0])
+        last = int(rows[-1]) + 1
     for start in range(first // chunk_planes * chunk_planes, last, block_planes):
         yield slice(max(start, first), min(start + block_planes, last))
 
