@@ -396,9 +396,10 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     thinnest_um = min(medians_um)
     edge_um = FWHM * float(measured.attrs["blur_um"])
     width_um = float(np.fmax(edge_um, noise_width(scan.volume, measured)))
+    share = width_um / max(thinnest_um, 1e-9)
     cause_text = "An edge is blurred" if width_um == edge_um else "The noise is smoothed"
     return rule.at_most(
-        width_um / max(thinnest_um, 1e-9),
+        share,
         look=1.0,
         units="of the coating",
         sentence=(

@@ -9,6 +9,7 @@ scale; logarithms are natural. What is wider than some 65 voxels in a slice is t
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -142,36 +143,28 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     value counts these.
     """
     window = scan.windows[axis]
-    faults = find_faults(
-        window, assembled=axis in scan.assembled_axes, levelled=axis != scan.through
-    )
+    is_through = axis == scan.through
+    faults = find_faults(window, assembled=axis in scan.assembled_axes, levelled=not is_through)
+    n_wrong = float(sum(f.count for f in faults))
+    make_check = functools.partial(rule.check, value=n_wrong, limit=0.0, units="slices")
     if not faults:
-        return rule.check(
-            "pass",
-            value=0.0,
-            limit=0.0,
-            units="slices",
-            figures=(),
-            sentence=(
-                f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged,"
-                " repeated, filled or missing."
-            ),
+        sentence = (
+            f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged, repeated,"
+            " filled or missing."
         )
+        return make_check("pass", sentence, figures=())
     order_faults = [f for f in faults if f.kind in _DISORDER]
     listed_faults = order_faults or faults
     kinds: list[Kind] = [f.kind for f in listed_faults]
     commonest_kind = max(dict.fromkeys(kinds), key=kinds.count)
     figures = (CORRELATION, POSITION, PROPERTIES)
     # Heights that are wrong displace on every slope.
-    if not order_faults and axis != scan.through:
+    if not order_faults and not is_through:
         wrong_figures = {POSITION if kind in _DISPLACING else PROPERTIES for kind in kinds}
         figures = (CORRELATION, *sorted(wrong_figures))
-    return rule.check(
+    return make_check(
         "fail" if order_faults else "look",
-        value=float(sum(f.count for f in faults)),
-        limit=0.0,
-        units="slices",
-        sentence=_sentence(listed_faults, len(faults), axis),
+        _sentence(listed_faults, len(faults), axis),
         advice=_ADVICE[commonest_kind],
         figures=figures,
     )
@@ -375,7 +368,8 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
     is_exchanged = smaller / np.maximum(crossed, _TINY) > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
-    largest = np.max([t.d1[:-2], t.d1[2:], _differences(t.s, 3)], axis=0)
+    d3 = _differences(t.s, 3)
+    largest = np.max([t.d1[:-2], t.d1[2:], d3], axis=0)
     pairs = np.flatnonzero(t.d1[1:-1] > limit * largest)
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     is_exchanged |= np.isin(k, pairs) | np.isin(k, pairs + 2)
