@@ -171,8 +171,8 @@ MUTANTS = [
     ),
     Mutant(
         "surface/_fit_kernels.py",
-        "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]",
-        "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]",
+        "inside = face + p[1]",
+        "inside = face - p[1]",
         "surface/test_fit.py",
     ),
     # measure

@@ -90,7 +90,9 @@ def draw_edges(
         w = width[k]
         lo = int(floor(expected[k] - band[k] - 3.0 * w))
         hi = int(ceil(expected[k] + band[k] + 3.0 * w))
-        if not isfinite(expected[k]) or lo < 0 or hi > g.size - 1 or not is_finite(g, lo, hi):
+        if not isfinite(expected[k]) or lo < 0 or hi > g.size - 1:
+            continue
+        if not is_finite(g, lo, hi):
             continue
         mean = 0.0
         for d in range(lo, hi + 1):
@@ -115,5 +117,7 @@ def draw_edges(
         if best == 0 or best == 2 * half or not isfinite(costs[best]):
             continue
         a, b, c = costs[best - 1], costs[best], costs[best + 1]
-        shift = 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-12) if isfinite(a) and isfinite(c) else 0.0
+        shift = 0.0
+        if isfinite(a) and isfinite(c):
+            shift = 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-12)
         result[k] = expected[k] + (best - half + shift) / _PER_VOXEL

@@ -111,7 +111,10 @@ def evaluate(
     cost = s0 = s1 = s2 = s3 = 0.0
     m00 = m10 = m11 = m20 = m21 = m22 = m30 = m31 = m32 = m33 = 0.0
     scale = 1.0 / (noise * noise)
-    face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]
+    face = p[0]
+    inside = face + p[1]
+    coat = p[2]
+    base = p[3]
     for d in range(lo, hi + 1):
         outer, bell = _edge((d - face) / w, w, fringe, ratio)
         if coated:
@@ -146,12 +149,20 @@ def evaluate(
         m32 += j3 * j2
         m33 += j3 * j3
     cost *= scale
-    step[0], step[1], step[2], step[3] = scale * s0, scale * s1, scale * s2, scale * s3
+    step[0] = scale * s0
+    step[1] = scale * s1
+    step[2] = scale * s2
+    step[3] = scale * s3
     matrix[0, 0] = scale * m00
-    matrix[1, 0], matrix[1, 1] = scale * m10, scale * m11
-    matrix[2, 0], matrix[2, 1], matrix[2, 2] = scale * m20, scale * m21, scale * m22
-    matrix[3, 0], matrix[3, 1] = scale * m30, scale * m31
-    matrix[3, 2], matrix[3, 3] = scale * m32, scale * m33
+    matrix[1, 0] = scale * m10
+    matrix[1, 1] = scale * m11
+    matrix[2, 0] = scale * m20
+    matrix[2, 1] = scale * m21
+    matrix[2, 2] = scale * m22
+    matrix[3, 0] = scale * m30
+    matrix[3, 1] = scale * m31
+    matrix[3, 2] = scale * m32
+    matrix[3, 3] = scale * m33
     for i in range(4):
         if spread[i] > 0.0:
             k = 1.0 / (spread[i] * spread[i])
@@ -411,14 +422,17 @@ def fit_faces(  # noqa: C901, PLR0912
             cost = 1e300
             lo = hi = 0
             for attempt in range(2 if coated else 1):
-                p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
+                p[0] = h0
+                p[1] = thick
+                p[2:] = prior[2:]
                 if attempt == 1:
                     p[1] = 0.5 * w  # a second start, for a coating thinner than the blur
                     if thick > 4 * w:
                         continue
                 lo = max(int(floor(h0 - 3.0 * v)), gap)
                 hi = min(int(floor(h0 + thick + 3.0 * v)) + 1, depth - 1)
-                hi = max(min(hi, int(deepest) + 1), min(int(h0 + 2.0 * v) + 2, depth - 1))
+                least_hi = min(int(h0 + 2.0 * v) + 2, depth - 1)
+                hi = max(min(hi, int(deepest) + 1), least_hi)
                 if amid > 0.0:  # few samples are left where the gap is narrow
                     hi = max(hi, min(lo + 5, int(middle) + 1, depth - 1))
                 # Near an end of the column two widths of the blur must be left.
@@ -447,11 +461,13 @@ def fit_faces(  # noqa: C901, PLR0912
                     # No base is as bright: this is coating in a valley that the blur dims from the
                     # sides.
                     local[3] = -1.0
-                    p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
+                    p[0] = h0
+                    p[1] = thick
+                    p[2:] = prior[2:]
                     now = fit_column(*problem, wall, wall_depth / tilt[i, j])
                 if now < cost:
                     cost = now
-                    best[0], best[1], best[2], best[3] = p[0], p[1], p[2], p[3]
+                    best[:] = p
             if cost < 1e299 and lo - 2 <= best[0] <= hi + 2:
                 for n in range(4):
                     result[n, i, j] = best[n]

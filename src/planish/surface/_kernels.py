@@ -197,7 +197,10 @@ def presence(
     share = np.empty(offsets.size)
     for i in range(rows):
         for j in range(cols):
-            c, nr, nc, nd = centre[i, j], normal_r[i, j], normal_c[i, j], normal_d[i, j]
+            c = centre[i, j]
+            nr = normal_r[i, j]
+            nc = normal_c[i, j]
+            nd = normal_d[i, j]
             for n in range(offsets.size):
                 d = c + offsets[n] * nd
                 g = np.nan
@@ -205,7 +208,8 @@ def presence(
                     fr = offsets[n] * nr
                     fc = offsets[n] * nc
                     g = trilinear(flat, slab.shape, first, deep, lead_r + i, lead_c + j, d, fr, fc)
-                share[n] = min(max((g - air) / (base - air), 0.0), 1.0) if isfinite(g) else np.nan
+                material = min(max((g - air) / (base - air), 0.0), 1.0)
+                share[n] = material if isfinite(g) else np.nan
             for m in range(layers.shape[0]):
                 total, count = 0.0, 0
                 for n in range(layers.shape[1]):

@@ -90,7 +90,8 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
             continue
         inward_grey = grey[..., ::-1] if from_high else grey
         summed = np.zeros((*patch.shape, grey.shape[2] + 1))
-        np.cumsum(np.nan_to_num(inward_grey), axis=2, dtype=np.float64, out=summed[..., 1:])
+        known_grey = np.nan_to_num(inward_grey)
+        np.cumsum(known_grey, axis=2, dtype=np.float64, out=summed[..., 1:])
         outer, thickness = depths[2 * k : 2 * k + 2]
         by_radius: list[Floats] = []
         for radius in RADII:
@@ -110,9 +111,9 @@ def _block_numbers(count: int, pitch_um: float) -> Ints:
 
 def _beyond_ball(outer: Floats, inner: Floats, radius_um: float, pitch_um: Pitch) -> TwoFields:
     """First and last depth, in voxels, that lie a radius from both faces and from missing ones."""
-    reach = [int(radius_um / p) for p in pitch_um[:2]]
-    rows_um, cols_um = (np.arange(-n, n + 1) * p for n, p in zip(reach, pitch_um[:2], strict=True))
-    square_um2 = radius_um**2 - rows_um[:, None] ** 2 - cols_um**2
+    down, across = (int(radius_um / p) for p in pitch_um[:2])
+    rows, cols = np.ogrid[-down : down + 1, -across : across + 1]
+    square_um2 = radius_um**2 - (rows * pitch_um[0]) ** 2 - (cols * pitch_um[1]) ** 2
     ball: Any = np.sqrt(np.maximum(square_um2, 0.0)) / pitch_um[2]
     is_known = np.isfinite(outer) & np.isfinite(inner)
     rolled = partial(
@@ -152,10 +153,11 @@ def _grey(sums: Floats) -> LoneGrey | None:
             deepening = deepening_error = 0.0  # one place shows both halves: nothing is known
         # Noise moves the difference of two halves twice as far as their mean.
         noise = 0.5 * half_spread
+        true_spread = float(np.sqrt(max(spread**2 - noise**2, 0.0)))
         return LoneGrey(
             level=level,
             error=error,
-            spread=float(np.sqrt(max(spread**2 - noise**2, 0.0))),
+            spread=true_spread,
             deepening=deepening,
             deepening_error=deepening_error,
         )

@@ -156,10 +156,8 @@ def _attrs(
     off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
     off_rims_share = float(off_rims.mean()) if off_rims.size else 0.0
     holes = half_closed(states.is_sheet, states.runs_out, columns.pitch[:2])
-    holes_um = [
-        np.interp(index, np.arange(um.size), um)
-        for index, um in zip(holes.T, columns.lateral_um(), strict=True)
-    ]
+    places = zip(holes.T, columns.lateral_um(), strict=True)
+    holes_um = [np.interp(index, np.arange(um.size), um) for index, um in places]
     voxel_um = [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")]
     attrs: Entries = {
         "thickness_um": thickness,

@@ -190,9 +190,8 @@ def surfaces_from_labels(
     guide = make_guide(coarse, columns)
     coded = replace(columns, sheet=False)
     search_px = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
-    by_tile = engine.map(
-        "labels", _boundaries, lambda t: (coded, guide.part(t), search_px), columns.tiles(engine)
-    )
+    tiles = columns.tiles(engine)
+    by_tile = engine.map("labels", _boundaries, lambda t: (coded, guide.part(t), search_px), tiles)
     depths = join_tiles(by_tile, np.empty((4, *columns.shape[:2])))
     # A side with a coating in fewer than 2 % of its columns has none.
     is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]

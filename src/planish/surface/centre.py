@@ -129,8 +129,10 @@ class _Regression:
             nodes = np.arange(-half_width, half_width + 1, dtype=np.float64)
             x = nodes * p / scale
             self.axes.append((x, np.exp(-np.pi * x * x)))
-        moments = self._moments(weight, [(i, j) for i in range(5) for j in range(5 - i)])
-        full_weight = float(self.axes[0][1].sum() * self.axes[1][1].sum())
+        powers = [(i, j) for i in range(5) for j in range(5 - i)]
+        moments = self._moments(weight, powers)
+        (_, row_weight), (_, col_weight) = self.axes
+        full_weight = float(row_weight.sum() * col_weight.sum())
         # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own
         # fullest counts then. Below so much of it the surface would be extrapolated. Where there is
         # data nothing is, however few the neighbours are.

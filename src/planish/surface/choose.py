@@ -152,8 +152,11 @@ def _is_as_large(sheet: CoarseSheet, seeded_sheet: CoarseSheet) -> bool:
         return False
     if not seeded_sheet.is_whole.any():
         return True
-    thicknesses_px = [np.median((s.high - s.low)[s.is_whole]) for s in (sheet, seeded_sheet)]
-    return bool(np.ptp(thicknesses_px) <= 2.0)
+    return abs(_thickness_px(sheet) - _thickness_px(seeded_sheet)) <= 2.0
+
+
+def _thickness_px(sheet: CoarseSheet) -> float:
+    return float(np.median((sheet.high - sheet.low)[sheet.is_whole]))
 
 
 def _objects_beside(oriented: Blocks, sheet: CoarseSheet) -> Surroundings:
@@ -197,11 +200,9 @@ def material(
     is_lighter = contrast[is_bright].sum() >= contrast[is_dark].sum()
     typical_contrast = float(np.median(contrast[is_bright if is_lighter else is_dark]))
     end_grey = blocks[..., [0, 1, 2, -3, -2, -1]].astype(np.float64)
-    return (
-        1.0 if is_lighter else -1.0,
-        max(_SIGMAS * scatter, 0.35 * typical_contrast),
-        max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast),
-    )
+    threshold = max(_SIGMAS * scatter, 0.35 * typical_contrast)
+    least_threshold = max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast)
+    return 1.0 if is_lighter else -1.0, threshold, least_threshold
 
 
 def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:

@@ -246,13 +246,11 @@ def _companion(blocks: Blocks, in_object: Bools, low: Floats, high: Floats) -> C
     level = 0.5 * float(np.median(blocks[in_object]))
     is_core = in_object & (blocks > level)
     own_low, own_high = _extent_of(blocks, is_core, level)
-    is_below = float(np.nanmedian(low - own_high)) > float(np.nanmedian(own_low - high))
-    return Companion(
-        thickness_px=float(np.nanmedian(own_high - own_low)),
-        facing=own_high if is_below else own_low,
-        share=float(is_core.any(axis=-1).mean()),
-        end="low" if is_below else "high",
-    )
+    thickness_px = float(np.nanmedian(own_high - own_low))
+    share = float(is_core.any(axis=-1).mean())
+    if np.nanmedian(low - own_high) > np.nanmedian(own_low - high):
+        return Companion(thickness_px, own_high, share, "low")
+    return Companion(thickness_px, own_low, share, "high")
 
 
 def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:

@@ -138,9 +138,10 @@ def preview_faces(
     near_corrections = corrections.model_copy(update={"stretches": tuple(near_stretches)})
     heights = Drawing(near_surfaces, near_volume, near_corrections, Engine(threads=1)).heights
     is_crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
-    return (rows, cols), {
-        face: np.where(is_crossed, near_surfaces[face].values, heights[face]) for face in SIDES
-    }
+    faces: dict[Side, Floats] = {}
+    for face in SIDES:
+        faces[face] = np.where(is_crossed, near_surfaces[face].values, heights[face])
+    return (rows, cols), faces
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:

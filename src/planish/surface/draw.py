@@ -55,11 +55,11 @@ class Patch:
     The points are (n, 3); ``window`` holds rows and columns, ``away`` how far each is away.
     """
 
-    def __init__(
-        self, lateral_um: TwoFields, points: Floats, reach_um: float, voxel_um: float
-    ) -> None:
+    def __init__(self, columns: Columns, pitch: Pair, points: Floats, reach_um: float) -> None:
+        lateral_um = columns.lateral_um()
+        self.pitch = pitch
         self.points = points
-        self.voxel_um = voxel_um
+        self.voxel_um = columns.pitch[2]
         self.reach_um = reach_um
         self.far_um = reach_um + max(RING_UM, 0.5 * reach_um)
         rows = self._slice_near(lateral_um[0], points[:, 0])
@@ -79,7 +79,6 @@ class Patch:
         field: Floats,
         is_trusted: Bools,
         is_wanted: Bools,
-        pitch: Pair,
         *,
         uses_points: bool = False,
     ) -> TwoFields | None:
@@ -89,9 +88,9 @@ class Patch:
         heights = np.concatenate([points[:, 2], field[rows, cols]])
         if not (heights.size and is_wanted.any()):
             return None
-        lag_um = max(0.25 * self.reach_um, 2 * max(pitch))
+        lag_um = max(0.25 * self.reach_um, 2 * max(self.pitch))
         trusted = np.where(is_trusted, field, np.nan)
-        slope = variogram_slope(trusted, pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
+        slope = variogram_slope(trusted, self.pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
         return krige(
             self.grid[is_wanted],
             places=np.concatenate([points[:, :2], self.grid[rows, cols]]),
@@ -121,7 +120,6 @@ class Drawing:
             polarity=self.attrs["polarity"],
             blend_sd=float(self.attrs.get("averaged_columns", 0.0)),
         )
-        self.lateral_um = self.columns.lateral_um()
         self.voxel_um = self.columns.pitch[2]
         self.heights: dict[str, Floats] = {}
         self.how: dict[Side, NDArray[np.uint8]] = {}
@@ -155,14 +153,14 @@ class Drawing:
 
     def _draw(self, stretch: Stretch, face: Side) -> None:
         """Draw a face to the points of a stretch, where it is wrong, and what hangs on it."""
-        patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
+        patch = Patch(self.columns, self.pitch, self._points(stretch, face), stretch.reach_um)
         measured_um = self._measured(face, patch.window)
         is_measured = np.isfinite(measured_um)
         in_reach = patch.away <= patch.reach_um
         no_face = (Status.NO_SHEET, Status.LEAVES_VOLUME)
         is_inside = in_reach & ~np.isin(self.status[patch.window], no_face)
         is_around = is_measured & ~in_reach & (patch.away <= patch.far_um)
-        expected = patch.expect(measured_um, is_around, is_inside, self.pitch, uses_points=True)
+        expected = patch.expect(measured_um, is_around, is_inside, uses_points=True)
         if expected is None:
             return
         is_wrong = np.zeros_like(is_inside)
@@ -179,14 +177,14 @@ class Drawing:
         is_right = is_near_wrong & ~is_wrong & is_measured & (is_inside | is_around)
         if np.count_nonzero(is_right) < 10:
             is_right = is_around
-        expected = patch.expect(measured_um, is_right, is_wrong, self.pitch, uses_points=True)
+        expected = patch.expect(measured_um, is_right, is_wrong, uses_points=True)
         assert expected is not None
         self._redraw(face, patch.window, is_wrong, expected)
         other_face: Side = "bottom" if face == "top" else "top"
         is_missing = is_wrong & ~np.isfinite(self.heights[other_face][patch.window])
         opposite_um = self._measured(other_face, patch.window)
         is_trusted = np.isfinite(opposite_um) & is_near_wrong
-        expected = patch.expect(opposite_um, is_trusted, is_missing, self.pitch)
+        expected = patch.expect(opposite_um, is_trusted, is_missing)
         if expected is not None:
             self._redraw(other_face, patch.window, is_missing, expected)
         self._redraw_interface(face, patch, is_wrong, is_near_wrong)
@@ -199,7 +197,7 @@ class Drawing:
         """
         axes = self.columns.axes
         points = np.array([*map(attrgetter(*axes), stretch.of(face))], np.float64)
-        coords_um = (*self.lateral_um, self.columns.depth_um)
+        coords_um = *self.columns.lateral_um(), self.columns.depth_um
         for axis, um, points_um in zip(axes, coords_um, points.T, strict=True):
             is_outside = (points_um < um[0] - 1e-6) | (points_um > um[-1] + 1e-6)
             if is_outside.any():
@@ -253,7 +251,7 @@ class Drawing:
             return
         coating_um = np.abs(interface - self.heights[face])[window]
         is_trusted = is_near & ~is_redrawn & np.isfinite(coating_um)
-        thickness = patch.expect(coating_um, is_trusted, is_redrawn, self.pitch)
+        thickness = patch.expect(coating_um, is_trusted, is_redrawn)
         if thickness is None:
             return
         face_height = self.heights[face][window][is_redrawn]

@@ -287,7 +287,7 @@ def _top_hat(face: Floats, width_um: float, more: int, pitch: Pitch) -> TwoField
     """
     outward = filled(-face)
     rows, cols = (max(int(width_um / p), 1) + more for p in pitch[:2])
-    pad = [min(n, m - 1) for n, m in zip((rows, cols), face.shape, strict=True)]
+    pad = min(rows, face.shape[0] - 1), min(cols, face.shape[1] - 1)
     padded = np.pad(outward, [(n, n) for n in pad], mode="reflect", reflect_type="odd")
     within = tuple(slice(n, n + m) for n, m in zip(pad, face.shape, strict=True))
     opened = ndimage.grey_opening(padded, size=(rows, cols))[within]
@@ -369,6 +369,7 @@ def fit_side(
     face, counted from the end that is read from, and cosine of the tilt.
     """
     side, edge = priors.sides[from_high], priors.edge
+    layers = side.level, side.spread, side.coated
     fit = np.empty((5, *grey.shape[:2]))
     _fit_kernels.fit_faces(
         grey,
@@ -376,9 +377,7 @@ def fit_side(
         0.0,
         edge.width,
         priors.scatter,
-        side.level,
-        side.spread,
-        side.coated,
+        *layers,
         priors.search_px,
         fit,
         0.0,

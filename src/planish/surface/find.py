@@ -241,14 +241,16 @@ def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: 
         turned_sheet = take_survey(turned_columns, params, replace(engine, folder=None)).coarse
     except VolumeError:
         return
-    sheets_and_columns = (coarse_sheet, columns), (turned_sheet, turned_columns)
-    thicknesses_um = [
-        float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in sheets_and_columns
-    ]
+    thickness_um = _extent_um(coarse_sheet, columns)
+    turned_um = _extent_um(turned_sheet, turned_columns)
     # A sheet that is seen edge on measures a sixth of its run, or less, along its normal.
-    if turned_sheet.is_leaving.mean() < _LEAVES and thicknesses_um[1] < 1 / 6 * thicknesses_um[0]:
+    if turned_sheet.is_leaving.mean() < _LEAVES and turned_um < 1 / 6 * thickness_um:
         raise VolumeError(
             f"The sheet is seen edge on: along {columns.frame.through} it leaves the volume in"
             f" {100 * coarse_sheet.is_leaving.mean():.0f} % of the columns, and is"
-            f" {thicknesses_um[0]:.0f} um thick in the others."
+            f" {thickness_um:.0f} um thick in the others."
         )
+
+
+def _extent_um(sheet: CoarseSheet, columns: Columns) -> float:
+    return float(np.nanmedian((sheet.high - sheet.low) * columns.pitch[2]))

@@ -33,8 +33,8 @@ def regions(
     column_count = np.bincount(flat_labels, minlength=gap_count + 1)
     # Half of a hole at the border lies beyond it.
     max_area_um2 = np.full(gap_count + 1, np.pi / 4 * _HOLE_UM**2)
-    for border_labels in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
-        max_area_um2[border_labels] = np.pi / 8 * _HOLE_UM**2
+    for ends in (labels[[0, -1]], labels[:, [0, -1]]):
+        max_area_um2[ends] = np.pi / 8 * _HOLE_UM**2
     leaving_count = np.bincount(flat_labels, runs_out.ravel(), gap_count + 1)
     is_continued = leaving_count > 0.5 * np.maximum(column_count, 1)
     is_hole = (column_count * pitch[0] * pitch[1] <= max_area_um2) & ~is_continued

@@ -206,18 +206,13 @@ class Sampler:
     def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Floats:
         """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
         fits = np.empty((5, *sample.outer.shape))
-        grey, outer, opposite, cos_tilt = map(np.ascontiguousarray, sample[:4])
+        layers = side.level, side.spread, side.coated
         _fit_kernels.fit_faces(
-            grey,
-            outer,
-            opposite,
-            cos_tilt,
+            *map(np.ascontiguousarray, sample[:4]),
             0.0,
             edge.width,
             self.scatter,
-            side.level,
-            side.spread,
-            side.coated,
+            *layers,
             self.search_px,
             fits,
             window,

@@ -197,15 +197,11 @@ def _read_tile(job: tuple[Columns, int, Shape2D, float], tile: Tile) -> Array:
     stored = np.ascontiguousarray(voxels.transpose(axis_order))
     block_sums(stored, tuple(block_sides.tolist()), corner, sums, missing, holds_corner)
     column_order = np.argsort(axis_order)
-    block_widths = [
-        np.diff([*(block_px * np.arange(k)), n])
-        for k, n in zip(block_counts, voxels.shape, strict=False)
-    ]
+    counts = zip(block_counts, voxels.shape, strict=False)
+    block_widths = [np.diff([*(block_px * np.arange(k)), n]) for k, n in counts]
     # Columns of the sample lie at multiples of the stride in the whole grid.
-    sampled = tuple(
-        slice((-k % n) * columns.step, None, n * columns.step)
-        for k, n in zip(tile[::2], stride, strict=True)
-    )
+    starts = zip(tile[::2], stride, strict=True)
+    sampled = tuple(slice((-k % n) * columns.step, None, n * columns.step) for k, n in starts)
     means = sums.transpose(column_order) / np.multiply.outer(*block_widths)[..., None]
     fields = {
         "means": means.astype(np.float32),
@@ -213,7 +209,8 @@ def _read_tile(job: tuple[Columns, int, Shape2D, float], tile: Tile) -> Array:
         "profiles": voxels[sampled],
         "missing": missing.sum(),
     }
-    record = np.empty((), [(name, field.dtype, field.shape) for name, field in fields.items()])
+    dtype = [(name, field.dtype, field.shape) for name, field in fields.items()]
+    record = np.empty((), dtype)
     for name, field in fields.items():
         record[name] = field
     return record
@@ -309,12 +306,13 @@ def _is_sharp(profiles: Floats, is_outside: Bools, first: Ints, padding: float) 
 
     ``first``: index of the first voxel inside of each profile (n, depth).
     """
-    inner_index = np.minimum(first[:, None] + np.arange(2, 6), profiles.shape[1] - 1)
+    next_index = first[:, None] + np.arange(2, 6)
+    inner_index = np.minimum(next_index, profiles.shape[1] - 1)
     inner_grey = np.take_along_axis(profiles, inner_index, axis=1)
     inner_level = float(np.median(inner_grey))
     scatter = max(mad_sd(inner_grey - inner_level), 1e-9)
-    running_mean = (profiles[:, :-2] + profiles[:, 1:-1] + profiles[:, 2:]) / 3
-    running_mean = np.where(is_outside[:, 1:-1], inner_level, running_mean)
+    means = (profiles[:, :-2] + profiles[:, 1:-1] + profiles[:, 2:]) / 3
+    running_mean = np.where(is_outside[:, 1:-1], inner_level, means)
     highest = float(np.median(np.max(np.abs(running_mean - inner_level), axis=1)))
     contrast = abs(inner_level - padding)
     first_grey = float(np.median(at_index(profiles, first)))
