@@ -73,16 +73,16 @@ def test_order_is_seen_whatever_the_gain_of_each_slice():
 def test_long_waves_of_a_knife_are_no_disorder():
     """Each slice has waves of its own, far wider than what the specimen shows."""
     rng = np.random.default_rng(2)
-    edge = 100
-    waves = ndimage.gaussian_filter(rng.normal(size=(80, 26, 26)), (0, 5, 5))
+    slices, edge = 50, 200
+    waves = ndimage.gaussian_filter(rng.normal(size=(slices, 36, 36)), (0, 6, 6))
     waves = ndimage.zoom(waves, (1, 10, 10), order=1)[:, 80 : 80 + edge, 80 : 80 + edge]
-    values = body((80, edge, edge))
-    values[:30] = 100 + rng.normal(0, 5, (30, edge, edge))  # resin alone
-    values += 6 * waves / waves.std()
+    values = body((slices, edge, edge))
+    values[:20] = 100 + rng.normal(0, 5, (20, edge, edge))  # resin alone
+    values += 5 * waves / waves.std()
     check = judged(values)
     assert check.state == "pass", check.sentence
-    exchanged = judged(values[[*at(0, 50), 51, 50, *at(52, 28)]])
-    assert exchanged.sentence.startswith("Slices 50 and 51 along z are exchanged.")
+    exchanged = judged(values[[*at(0, 30), 31, 30, *at(32, 18)]])
+    assert exchanged.sentence.startswith("Slices 30 and 31 along z are exchanged.")
 
 
 N = at(0, 80)

@@ -4,7 +4,7 @@ It judges by how each differs from its neighbours.
 
 Neighbouring slices of a continuous body are alike, and how much they differ changes slowly from
 slice to slice. Every statistic compares a slice with its own neighbourhood, so that none needs a
-scale; logarithms are natural. What is wider than some 65 voxels in a slice is taken off first.
+scale; logarithms are natural. What is wider than some 125 voxels in a slice is taken off first.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _GAINS = 0.08
 _AROUND = 5  # slices on either side that show how bright a slice ought to be
 _RUN = 10  # slices that are filled, or nearly the same, at most
-_FINE = 13  # blocks of 5 voxels: structure that is wider tells nothing of the order
+_FINE = 25  # blocks of 5 voxels: structure that is wider tells nothing of the order
 _TINY = 1e-300  # differences of 0 have a ratio and a logarithm, too
 _DISORDER = frozenset({"exchanged", "moved"})
 _DISPLACING = frozenset({"repeated", "jump"})
