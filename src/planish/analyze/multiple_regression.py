@@ -158,7 +158,7 @@ def regress(
         scale=spread * np.sqrt(variances / variance),
         vif=variances / own_share,
         unique=scaled**2 * own_share / variance,
-        r2=float(scaled @ with_response) / variance,
+        r2=float((scaled @ with_response) / variance),
         weights=np.stack([placed(row, is_valid, 0.0) for row in weights]),
         own_variance=own_share * spread**2,
         residuals=placed(y - x @ scaled, is_valid, 0.0),
