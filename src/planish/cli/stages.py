@@ -302,11 +302,11 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     if params.by == "texture":
         layers = [_maps_or_image(path, values) for path in (moving, fixed)]
         side = build_params(ImageParams, values, path=str(fixed)).side
-        # a sheet and an image, of whichever side where none is given.
+        # Of a sheet and an image whose side is not given, both hands are tried.
         is_of_sheet = moving.is_dir() != fixed.is_dir()
         is_mirrored = None if is_of_sheet and side is None else side == "bottom"
         registration = register_texture(layers[0], layers[1], params=params, mirrored=is_mirrored)
-    else:
+    else:  # holes, and auto: files of holes show no texture
         registration = register_marks(read_holes(moving), read_holes(fixed), params=params)
     registration.save(out)
     write_marks(registration.pairs(), table)

@@ -49,7 +49,8 @@ _STYLE: Entries = {
 def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Draw one map as PNG, or SVG with text as text.
 
-    Colours span its chosen limits or its 1st to 99th percentile.
+    Colours span its chosen limits, or the 1st to 99th percentile of the pixels that are drawn: 0 to
+    1 where none has a value.
     """
     (name,) = maps.names
     pixels, reduction = _reduced(maps, name)

@@ -167,7 +167,8 @@ def make_springs(
     """Tie the nodes of ``points`` (rows, cols, 3) to their neighbours; each spring is stored once.
 
     Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share
-    of them that kept their chord although the surface bends there, NaN for ``rest="chord"``.
+    of them that kept their chord although the surface bends there, because the curvatures at their
+    two ends disagree; NaN for ``rest="chord"``.
     """
     rows, cols = points.shape[:2]
     parts = team.parts(rows, cols)

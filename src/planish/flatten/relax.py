@@ -168,7 +168,7 @@ def _check(
     method: object,
     rest: object,
 ) -> None:
-    """Refuse arguments that do not fit, all faults in one message."""
+    """Refuse points of another shape, then all other arguments that do not fit in one message."""
     if points.shape[2:] != (3,):
         raise CannotFlatten(
             f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x,"

@@ -29,7 +29,7 @@ class SliceHeader(NamedTuple):
     """What is known of a slice that is not decoded."""
 
     key: tuple[Any, ...]  # format, size and type: the same for slices that are alike
-    dtype: DType  # in the file
+    dtype: DType  # in a TIFF file; uint8 for any other, whose values are never read as they lie
     offset: int | None = None  # from where the values lie as they are
     strip_rows: int = sys.maxsize  # what is decoded at once, if it is not all
 
@@ -174,7 +174,7 @@ def _slice_header(file: Path) -> SliceHeader:
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
             image = PLUGINS[format_name](stream)
-            # Pillow decodes a PNG to look for the tag behind its pixels.
+            # Pillow decodes a PNG to look for the tag behind its pixels: the key is without it.
             orientation = image.getexif().get(274, 1) if format_name == "jpeg" else 1
             key = (format_name, image.size, image.mode, image.info.get("dpi"), orientation)
             return SliceHeader(key, np.dtype(np.uint8))

@@ -140,7 +140,8 @@ def filler(rays: Rays) -> Measured:
 
     The base's edges (``edge_um``) are left out, and what is bright from there on without a gap:
     that is coating which has run in. Grains smaller than a voxel are faint and are lost. SE:
-    sqrt(n) sqrt(2 pi) w sigma / (level - base) / L with n ends of grains.
+    sqrt(n) sqrt(2 pi) w sigma / (2 (level - base)) / L with n ends of grains: a grain's step is
+    taken to be twice that from the base to the level.
     """
     from planish.core.grid import first_and_last
 

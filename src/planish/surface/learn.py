@@ -208,11 +208,14 @@ class _Learner(Sampler):
             self._fit_fringe(self.sample_of, [])
 
     def learn_thin_greys(self) -> list[bool]:
-        """Learn the greys of coatings that are nowhere thick; return the sides that are.
+        """Learn the greys of coatings that are nowhere thick; return the sides with a thick one.
 
-        Where a fringe reaches through all of a coating, columns with their fringe show its grey.
+        Coatings whose grey was set or seen alone are in neither. Where a fringe reaches through all
+        of a coating, columns with their fringe show its grey.
         """
         unknown_sides = self._unknown_sides()
+        # A thick coating is seen alone by `lone_greys`, which stays farther from the faces where a
+        # fringe is wider than the blur: one may be left there.
         thick_sides = [k for k in unknown_sides if self.edge.fringe and not self._is_thin(k)]
         thin_sides = [k for k in unknown_sides if k not in thick_sides]
         if thin_sides:
@@ -455,11 +458,12 @@ class _Learner(Sampler):
         return side
 
     def _wall_below(self, sample: Sample, fit: Floats, side: Side) -> float:
-        """By how much what lies directly below a coating is lighter than the base.
+        """By how much, in grey, what lies directly below a coating is lighter than the base.
 
         A base of walls and pores is solid there, and the more pores it has the more its grey varies
-        from place to place. What noise adds to that is taken off. A base that varies little beyond
-        it is even, and one so thin that its edges blur into each other shows no pores.
+        from place to place. What noise adds to that is taken off. 0 for a base that varies little
+        beyond it, which is even, and for one so thin that its edges blur into each other, which
+        shows no pores.
         """
         width = self.edge.width
         varied = mad_sd(fit[3])
@@ -470,6 +474,8 @@ class _Learner(Sampler):
         if not varied > 0 or base_px - 2.0 * thickness < 8.0 * width:
             return 0.0
         samples = int(thickness + 6.0 * width) + 2
+        # How a fit's base grey varies by noise: from its normal equations, which the greys of the
+        # column have no part in, less the priors of the two greys.
         point = np.array([3.0 * width, thickness, *side.level[2:]])
         matrix = np.zeros((4, 4))
         no_grey = np.zeros(samples, np.float32)

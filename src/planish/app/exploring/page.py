@@ -118,6 +118,7 @@ def _data(
             "cols": grid.shape[1],
             "dy": grid.pixel_um[0],
             "dx": grid.pixel_um[1],
+            # The middle of the first pixel.
             "x0": grid.origin_um[0],
             "y0": grid.origin_um[1],
             "names": ["x", "y"] if results.is_link else ["u", "v"],

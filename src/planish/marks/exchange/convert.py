@@ -298,6 +298,7 @@ def _pixels_of(about: Fields, override: LayerPixels) -> LayerPixels:
 
 
 def _recognised(content: Content) -> str:
+    """Name of the first format that a file looks like; FileError, with the way on, for none."""
     for name in FORMATS:
         if module_of(name).looks_like(content):
             return name

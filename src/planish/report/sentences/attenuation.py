@@ -25,7 +25,10 @@ def say_attenuation(_: object, evidence: EvidenceFacts, *__: object) -> Iterator
 
 
 def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
-    """How far two halves of each measurement agree and, behind the last one, what that bounds."""
+    """How far two halves of each measurement agree, or why that is not known.
+
+    Behind the last one: the r that a perfect relation would show with the noise of all of them.
+    """
     for k, reliability in enumerate(evidence.reliability):
         map_text = reliability.map.replace("_", " ")
         if len(evidence.reliability) > 1:
@@ -33,6 +36,7 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
         if not is_known(reliability.value):
             yield f"Reliability of {map_text}: not known. {reliability.reason or ''}".strip()
             continue
+        # `plain` writes the unit too.
         size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
         share_text = ("below " if reliability.value > 0.99 else "") + percent(
             max(1 - reliability.value, 0.01), 1
