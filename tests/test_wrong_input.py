@@ -256,3 +256,18 @@ def test_wrong_usage_and_an_output_folder_that_exists(refuses, specimen_files, t
         "keep",
         ["mine.txt"],
     )
+
+
+def test_register_refuses_the_name_of_its_table_before_it_writes(refuses, tmp_path):
+    for name in ("sheet.json", "image.json"):
+        (tmp_path / name).write_text("{}")
+    refuses(
+        "register",
+        tmp_path / "sheet.json",
+        tmp_path / "image.json",
+        "-o",
+        tmp_path / "marks.csv",
+        words="marks.csv is the name of the table",
+        code=2,
+        out=False,
+    )

@@ -297,6 +297,7 @@ def test_an_interrupted_run_leaves_no_thread(monkeypatch):
         ({"weights": -np.ones((30, 40))}, "weight is negative"),
         ({"tolerance": 0.0}, "tolerance is 0.0"),
         ({"method": "multgrid"}, "ethod is 'multgrid'"),
+        ({"method": "Multigrid"}, "Method is 'Multigrid'"),
         ({"rest": "arcs"}, "est is 'arcs'"),
         ({"weights": np.arange(1200).reshape(30, 40) == 7.0}, "1 nodes have more than a tenth"),
     ],

@@ -292,6 +292,11 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     from planish.run import register_marks, register_texture
 
     table = out.with_suffix(".csv")
+    if out == table:
+        raise click.UsageError(
+            f"{out} is the name of the table, which is made beside the registration: give -o"
+            f" {out.with_suffix('.json')}."
+        )
     params = build_params(RegistrationParams, values)
     refuse_existing(table)
     if params.by == "both":

@@ -190,7 +190,8 @@ def _check(
     if not 0 < tolerance < 1:
         faults.append(f"the tolerance is {tolerance}, needed is a share between 0 and 1")
     if faults:
-        raise CannotFlatten("; ".join(faults).capitalize() + ".")
+        message = "; ".join(faults) + "."
+        raise CannotFlatten(message[0].upper() + message[1:])
 
 
 def _drop_specks(points: Floats) -> tuple[Floats, Bools]:
