@@ -9,12 +9,24 @@ neither NaN nor infinity. Parts of the results that no stage computes with say N
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
-from pydantic.json_schema import SkipJsonSchema
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    PlainSerializer,
+    WithJsonSchema,
+)
+from pydantic.json_schema import JsonSchemaValue, SkipJsonSchema
+from pydantic_core import CoreSchema
 
 from planish.core.typing import Pair, Shape
 
@@ -120,7 +132,31 @@ class ResultModel(BaseModel):
 class DescribedModel(ResultModel):
     """A part of the results whose fields are described by the texts below them."""
 
-    model_config = ConfigDict(use_attribute_docstrings=True)
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Put the descriptions into the schema; the sources are read for that alone."""
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for model in reversed(cls.__mro__):
+            if issubclass(model, DescribedModel):
+                for name, text in _texts_below_fields(model).items():
+                    if name in properties and "$ref" not in properties[name]:
+                        properties[name]["description"] = text
+        return schema
+
+
+def _texts_below_fields(model: type) -> dict[str, str]:
+    """Description of each field of a class that has one, in its own source."""
+    (definition,) = ast.parse(inspect.getsource(model)).body
+    statements = definition.body if isinstance(definition, ast.ClassDef) else []
+    texts: dict[str, str] = {}
+    for field, below in pairwise(statements):
+        match field, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=text)):
+                texts[name] = inspect.cleandoc(str(text))
+    return texts
 
 
 class InputFile(DescribedModel):
