@@ -13,6 +13,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+from fields import description_of
 from public_names import about_constant, objects, packages, sources
 from pydantic import BaseModel
 
@@ -77,7 +78,7 @@ def fields_table(model: type[BaseModel]) -> str:
         )
         rows.append(
             f"| `{name}` | {code(words_of_type(field.annotation))} | {default} |"
-            f" {field.description or ''} |"
+            f" {description_of(model, name) or ''} |"
         )
     return "\n".join(rows)
 

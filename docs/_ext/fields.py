@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from planish.core.checks import Check
+from planish.core.facts import DescribedModel
 from planish.core.options import options_of
 from planish.results import Results
 from planish.run.study import GivenLayer, Study
@@ -106,9 +107,17 @@ def results_table(model: type[BaseModel]) -> str:
     for name, field in model.model_fields.items():
         rows.append(
             f"| `{name}` | {type_words(field.annotation, linked=True)} |"
-            f" {_cell(field.description)} |"
+            f" {_cell(description_of(model, name))} |"
         )
     return "\n".join(rows)
+
+
+def description_of(model: type[BaseModel], name: str) -> str | None:
+    """What a field of the results is, by its own words or by the text below it."""
+    own_words = model.model_fields[name].description
+    if own_words is None and issubclass(model, DescribedModel):
+        return model.descriptions().get(name)
+    return own_words
 
 
 def results_models() -> list[type[BaseModel]]:

@@ -87,7 +87,8 @@ def test_every_key_of_the_results_has_its_meaning():
     for model in models:
         assert fields.results_table(model) in text
         for name, field in model.model_fields.items():
-            assert field.description, f"{model.__name__}.{name} has no description"
+            described = fields.description_of(model, name)
+            assert described, f"{model.__name__}.{name} has no description"
             assert fields.type_words(field.annotation), f"{model.__name__}.{name}"
             keys += 1
     assert keys > 300

@@ -139,12 +139,19 @@ class DescribedModel(ResultModel):
         """Put the descriptions into the schema; the sources are read for that alone."""
         schema = handler(core_schema)
         properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, text in cls.descriptions().items():
+            if name in properties:
+                properties[name]["description"] = text
+        return schema
+
+    @classmethod
+    def descriptions(cls) -> dict[str, str]:
+        """Give the text below each field; the sources are read for it."""
+        texts: dict[str, str] = {}
         for model in reversed(cls.__mro__):
             if issubclass(model, DescribedModel):
-                for name, text in _texts_below_fields(model).items():
-                    if name in properties and "$ref" not in properties[name]:
-                        properties[name]["description"] = text
-        return schema
+                texts |= _texts_below_fields(model)
+        return texts
 
 
 def _texts_below_fields(model: type) -> dict[str, str]:
@@ -153,9 +160,10 @@ def _texts_below_fields(model: type) -> dict[str, str]:
     statements = definition.body if isinstance(definition, ast.ClassDef) else []
     texts: dict[str, str] = {}
     for field, below in pairwise(statements):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=text)):
-                texts[name] = inspect.cleandoc(str(text))
+        if not (isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr)):
+            continue
+        if isinstance(below.value, ast.Constant):
+            texts[ast.unparse(field.target)] = inspect.cleandoc(str(below.value.value))
     return texts
 
 
