@@ -13,6 +13,7 @@ import ast
 import inspect
 import math
 from collections.abc import Iterable
+from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
@@ -154,6 +155,7 @@ class DescribedModel(ResultModel):
         return texts
 
 
+@cache
 def _texts_below_fields(model: type) -> dict[str, str]:
     """Description of each field of a class that has one, in its own source."""
     (definition,) = ast.parse(inspect.getsource(model)).body

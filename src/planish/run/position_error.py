@@ -140,7 +140,8 @@ def add_place_errors(maps: xr.Dataset, pixel_um: Pair) -> xr.Dataset:
         slope_x = _slope(values.T).T / pixel_um[1]
         square = 0.5 * maps["expected_error"].values ** 2 * (slope_y**2 + slope_x**2)
         se = maps[f"{name}_se"]
-        errors[f"{name}_se"] = se.copy(data=np.sqrt(se.values**2 + np.nan_to_num(square)))
+        added = np.where(np.isnan(square), 0.0, square)
+        errors[f"{name}_se"] = se.copy(data=np.sqrt(se.values**2 + added))
     return maps.assign(errors)
 
 
