@@ -12,6 +12,9 @@ from app.marks_page import Browsed, drag
 from planish.app import explore
 from report.runs import a_run
 
+TWO_FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""The page draws with the next frame; after the one that follows it has been drawn."""
+
 
 class Window(Browsed):
     """A page in the browser, opened from a file."""
@@ -26,8 +29,12 @@ class Window(Browsed):
 
     def status(self, name):
         """A status line after the next frame."""
-        self.page.wait_for_timeout(80)
+        self.drawn()
         return self.page.get_by_role("status", name=name, exact=True).inner_text().replace("−", "-")
+
+    def drawn(self):
+        """Wait until the page has drawn what was asked of it, however busy the machine is."""
+        self.page.evaluate(TWO_FRAMES)
 
     def at(self, name, x_um, y_um, grid):
         """Where a point of the whole map lies on the screen."""
@@ -150,11 +157,13 @@ def test_cursor_and_slice_have_the_values_under_the_mouse_and_colours_are_chosen
     window.page.locator("#left-range").fill("80, 95")
     window.page.locator("#left-range").press("Enter")
     low = window.page.get_by_role("slider", name="Left colour range, low", exact=True)
-    window.page.wait_for_timeout(80)
+    window.drawn()
     assert low.get_attribute("aria-valuenow") == "80"
     low.press("ArrowRight")
+    window.drawn()
     assert float(low.get_attribute("aria-valuenow")) > 80.0
     window.page.get_by_role("button", name="Left colour range: auto", exact=True).click()
+    window.drawn()
     assert low.get_attribute("aria-valuenow") != "80"
     window.page.locator("#left-range").fill("95, 80")
     window.page.locator("#left-range").press("Enter")
@@ -181,7 +190,7 @@ than above."""
 
 def drawn_face_lies_on_the_edge_of_the_sheet(window):
     window.view("Slice").scroll_into_view_if_needed()
-    window.page.wait_for_timeout(300)
+    window.drawn()
     steps = window.page.evaluate(GREY_BELOW_THE_FACE)
     assert len(steps) > 20
     # Above the line there is air, below it the coating.
@@ -251,9 +260,11 @@ def test_regions_and_brushes_by_fields_and_mouse_leave_the_pixels_that_are_count
     region, grid = window.field("Region, µm"), data.data["grid"]
     start, end = window.at("Left map", 300, 200, grid), window.at("Left map", 800, 600, grid)
     drag(window.page, start, end)  # moves the view
+    window.drawn()
     assert region.input_value() == ""
     window.view("Left map").press("0")
     drag(window.page, start, end, key="Shift")
+    window.drawn()
     box = numbers(region.input_value())
     np.testing.assert_allclose(box, [300, 200, 800, 600], atol=6)
     n, _ = chosen(data, linked, region=box)
@@ -291,13 +302,16 @@ def test_all_of_it_works_with_keys_and_every_control_is_reached_and_has_a_name(o
     assert numbers(window.status("Cursor"))[:2] == [x - 8 * 5.0, y + 5.0]
     for key in ("Enter", "Shift+ArrowRight", "Shift+ArrowDown", "Enter"):
         left.press(key)
+    window.drawn()
     region = numbers(window.field("Region, µm").input_value())
     assert region == [x - 40, y + 5, x + 10, y + 55]
     for key in ("Escape", "+", "+", "-", "0"):
         left.press(key)
     scatter.press("Enter")
+    window.drawn()
     first = brush.input_value()
     scatter.press("ArrowRight")
+    window.drawn()
     assert brush.input_value() != first
     assert " of " in window.status("Selection")
     scatter.press("Escape")
