@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
@@ -27,7 +26,7 @@ from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean, square_px
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Unsaved, Value
 from planish.core.typing import Array, Entries, Floats, Pair, Pixel, Texts, pair_of
 from planish.texture.covariance import Lags, PairCovariances, scatter_of
 
@@ -41,26 +40,36 @@ it."""
 _MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
 
 
-class Agreement(ResultModel):
+class Agreement(DescribedModel):
     """Two measurements a and b of one quantity, pixel by pixel; differences are b less a.
 
     The line of a perfect relation lies between ``slope`` (b on a) and that of a on b.
     """
 
-    point_um: Value = optional("Edge of a point.")
-    n: int | None = optional("Points of which bias and scatter are.")
-    bias: Value = optional("Mean of b - a at the larger points.")
-    bias_interval: Interval = optional("Its 95 % interval.")
-    sd: Value = optional("Standard deviation of b - a.")
-    sd_interval: Interval = optional("95 % interval of the standard deviation of the difference.")
-    limits: Interval = optional("Between them lie 95 % of normal differences.")
-    limit_intervals: tuple[Interval, Interval] = Field(
-        default=(NULL, NULL), description="95 % interval of the lower and the upper limit."
-    )
-    n_eff: Unsaved = optional("Independent points of the mean difference.")
-    n_eff_sd: Unsaved = optional("Independent points of its standard deviation.")
-    slope: Unsaved = optional("Least squares of b on a.")
-    slope_x_on_y: Unsaved = optional("Least squares of a on b: a per b.")
+    point_um: Value = NULL
+    """Edge of a point."""
+    n: int | None = None
+    """Points of which bias and scatter are."""
+    bias: Value = NULL
+    """Mean of b - a at the larger points."""
+    bias_interval: Interval = NULL
+    """Its 95 % interval."""
+    sd: Value = NULL
+    """Standard deviation of b - a."""
+    sd_interval: Interval = NULL
+    """95 % interval of the standard deviation of the difference."""
+    limits: Interval = NULL
+    """Between them lie 95 % of normal differences."""
+    limit_intervals: tuple[Interval, Interval] = (NULL, NULL)
+    """95 % interval of the lower and the upper limit."""
+    n_eff: Unsaved = NULL
+    """Independent points of the mean difference."""
+    n_eff_sd: Unsaved = NULL
+    """Independent points of its standard deviation."""
+    slope: Unsaved = NULL
+    """Least squares of b on a."""
+    slope_x_on_y: Unsaved = NULL
+    """Least squares of a on b: a per b."""
 
 
 def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
@@ -269,11 +278,16 @@ class AgreementFacts(Agreement, RingCorrelation):
     Down to which wavelength they agree, and how far they differ.
     """
 
-    units: str = Field(default="1", description="Of the values.")
-    error_ratio: Value = optional("Variance of the errors of b over that of a, as it was given.")
-    error_slope: Value = optional("Slope of b over a where both have such errors (Deming).")
-    error_intercept: Value = optional("Of the line by the ratio of errors.")
-    error_interval: Interval = optional("95 % interval of that slope.")
+    units: str = "1"
+    """Of the values."""
+    error_ratio: Value = NULL
+    """Variance of the errors of b over that of a, as it was given."""
+    error_slope: Value = NULL
+    """Slope of b over a where both have such errors (Deming)."""
+    error_intercept: Value = NULL
+    """Of the line by the ratio of errors."""
+    error_interval: Interval = NULL
+    """95 % interval of that slope."""
 
 
 def answer_agreement(pair: ComparedMaps) -> Entries:
@@ -339,10 +353,10 @@ def compare_instruments(
     a, b : ndarray, shape (rows, cols), in one unit, on one grid; NaN is missing
     pixel_um
         As of :func:`planish.correlate`.
-    point_um : float, optional
+    point_um : float
         Bias, limits and lines are of means over squares of this edge; of single pixels where not
         given. Means over larger points agree better.
-    error_ratio : float, optional
+    error_ratio : float
         Variance of the errors of b over that of a, from repeated measurements of both; gives
         ``line``.
 

@@ -8,45 +8,51 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 from scipy import optimize, special
 
 from planish.analyze.differences import holm
 from planish.analyze.distributions import around, is_distinguishable, p_of, student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Unsaved, Value
 from planish.core.typing import Pair, Texts
 
 _POWER = 0.8  # how often a study sees the smallest difference that it is said to see
 
 
-class Equivalence(ResultModel):
+class Equivalence(DescribedModel):
     """Whether a difference is smaller than a margin that was declared.
 
     A difference may be distinguishable from 0 and yet equivalent.
     """
 
-    margin: float = Field(description="Largest difference that does not matter.")
-    interval: Interval = optional("90 % interval of the difference.")
-    p: Value = optional("Of the test that it is as large as the margin or larger.")
-    verdict: Literal["equivalent", "larger", "undecided", "unknown"] = Field(
-        description="Whether that interval lies within the margin, beyond it, or across it."
-    )
+    margin: float
+    """Largest difference that does not matter."""
+    interval: Interval = NULL
+    """90 % interval of the difference."""
+    p: Value = NULL
+    """Of the test that it is as large as the margin or larger."""
+    verdict: Literal["equivalent", "larger", "undecided", "unknown"]
+    """Whether that interval lies within the margin, beyond it, or across it."""
 
 
-class SetDifference(ResultModel):
+class SetDifference(DescribedModel):
     """Difference of two sets of sheets, the second minus the first."""
 
-    kind: Literal["paired", "two groups"] = Field(
-        description="Of the same sheets, or of different ones."
-    )
-    sheets: tuple[int, int] = Field(description="Sheets that count.")
-    means: tuple[Value, Value] = Field(default=(NULL, NULL), description="Over these sheets.")
-    difference: Value = optional("Of the means.")
-    interval: Interval = optional("Its 95 % interval.")
-    p: Value = optional("Of the test that there is none.")
-    p_of_table: Value = optional("The same after Holm, for all differences of the series.")
+    kind: Literal["paired", "two groups"]
+    """Of the same sheets, or of different ones."""
+    sheets: tuple[int, int]
+    """Sheets that count."""
+    means: tuple[Value, Value] = (NULL, NULL)
+    """Over these sheets."""
+    difference: Value = NULL
+    """Of the means."""
+    interval: Interval = NULL
+    """Its 95 % interval."""
+    p: Value = NULL
+    """Of the test that there is none."""
+    p_of_table: Value = NULL
+    """The same after Holm, for all differences of the series."""
 
 
 class SheetDifference(SetDifference):
@@ -55,11 +61,16 @@ class SheetDifference(SetDifference):
     The difference is the second set minus the first.
     """
 
-    sd: Unsaved = optional("Of the differences of single sheets where they pair.")
-    standard_error: Unsaved = optional("Of the difference.")
-    free: Unsaved = optional("Degrees of freedom of its interval.")
-    unpaired: Texts = Field(default=(), description="Sheets without a partner, where sheets pair.")
-    reason: str = Field(default="", description="Why there is no interval.")
+    sd: Unsaved = NULL
+    """Of the differences of single sheets where they pair."""
+    standard_error: Unsaved = NULL
+    """Of the difference."""
+    free: Unsaved = NULL
+    """Degrees of freedom of its interval."""
+    unpaired: Texts = ()
+    """Sheets without a partner, where sheets pair."""
+    reason: str = ""
+    """Why there is no interval."""
 
     @property
     def distinguishable(self) -> bool | None:

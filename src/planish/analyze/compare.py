@@ -20,7 +20,7 @@ from planish.core.area import valid_in_all
 from planish.core.axial import is_axial
 from planish.core.bands import read_bands
 from planish.core.errors import MarkError
-from planish.core.facts import Interval, Trust, Value, optional
+from planish.core.facts import NULL, Interval, Trust, Value
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.tables import grouped
 from planish.core.threads import map_threads
@@ -43,7 +43,8 @@ REGISTRATION_VARIANTS = (
 
 
 class _Judged(Correlation):
-    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+    trust: Trust = "ok"
+    """What the checks leave of the figures."""
 
 
 _NUMBERS_OF_R = tuple(
@@ -65,30 +66,33 @@ class CorrelationRow(_Judged):
         "limits",
     )
 
-    a: str = Field(description="First layer.")
-    a_map: str = Field(description="Its map.")
-    b: str = Field(description="Second layer.")
-    b_map: str = Field(description="Its map.")
+    a: str
+    """First layer."""
+    a_map: str
+    """Its map."""
+    b: str
+    """Second layer."""
+    b_map: str
+    """Its map."""
     negative_control: bool = Field(
         default_factory=lambda fields: (
             not {fields.get("a_map"), fields.get("b_map")}.isdisjoint(NEGATIVE_CONTROLS)
-        ),
-        description="Whether the map is the pose in the scanner and no property of the paper.",
+        )
     )
-    p_of_table: Value = optional(
-        "p after Holm, corrected for the number of rows at this point size; of a negative control"
-        " p alone, which counts among no properties."
-    )
-    same_quantity: bool = Field(
-        default=False,
-        description=(
-            "Whether both maps are of one quantity, so that their difference means something."
-        ),
-    )
-    difference_mean: Value = optional("Mean of b less a, for equal quantities.")
-    difference_sd: Value = optional("Standard deviation of that difference.")
-    limits: Interval = optional("Limits of agreement: where 95 % of the differences lie.")
-    units: str | None = optional("Unit of the difference.")
+    """Whether the map is the pose in the scanner and no property of the paper."""
+    p_of_table: Value = NULL
+    """p after Holm, corrected for the number of rows at this point size; of a negative control p
+    alone, which counts among no properties."""
+    same_quantity: bool = False
+    """Whether both maps are of one quantity, so that their difference means something."""
+    difference_mean: Value = NULL
+    """Mean of b less a, for equal quantities."""
+    difference_sd: Value = NULL
+    """Standard deviation of that difference."""
+    limits: Interval = NULL
+    """Limits of agreement: where 95 % of the differences lie."""
+    units: str | None = None
+    """Unit of the difference."""
 
 
 class ComparisonRow(_Judged):
@@ -99,11 +103,16 @@ class ComparisonRow(_Judged):
 
     WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
 
-    registration: str = Field(description="How the map was laid on the image.")
-    property: str = Field(description="The map.")
-    marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
-    difference: Value = optional("r of the run's own registration minus this r.")
-    difference_interval: Interval = optional("95 % interval of the difference.")
+    registration: str
+    """How the map was laid on the image."""
+    property: str
+    """The map."""
+    marks_rms_um: float
+    """Root mean square of the residuals of the marks."""
+    difference: Value = NULL
+    """r of the run's own registration minus this r."""
+    difference_interval: Interval = NULL
+    """95 % interval of the difference."""
 
 
 def is_property(data: xr.DataArray) -> bool:

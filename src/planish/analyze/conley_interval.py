@@ -9,30 +9,35 @@ used.
 import math
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST_CLAIMED, correlate, filled, valid_pixels
 from planish.analyze.distributions import around, t_95
 from planish.core.area import area_mean, common_means, square_px
-from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Unsaved, Value
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Entries, Pair, Pixel, pair_of
 from planish.texture.covariance import BANDWIDTH, Lags, PairCovariances
 
 
-class ConleyInterval(ResultModel):
+class ConleyInterval(DescribedModel):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999).
 
     It is taken at the larger points.
     """
 
-    point_um: float = Field(description="Edge of a point.")
-    r: Unsaved = optional("Pearson's correlation.")
-    interval: Interval = Field(description="95 % interval of r.")
-    standard_error: Value = Field(description="Of Fisher's z.")
-    critical: Value = Field(description="Standard errors to either side.")
-    ratio: Value = Field(description="Standard error over that of the covariances.")
+    point_um: float
+    """Edge of a point."""
+    r: Unsaved = NULL
+    """Pearson's correlation."""
+    interval: Interval
+    """95 % interval of r."""
+    standard_error: Value
+    """Of Fisher's z."""
+    critical: Value
+    """Standard errors to either side."""
+    ratio: Value
+    """Standard error over that of the covariances."""
 
 
 def conley_interval(

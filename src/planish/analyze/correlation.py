@@ -10,7 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 import xarray as xr
-from pydantic import Field
 from scipy import special
 
 from planish.analyze.distributions import around, p_of, ranks, sign_of, t_95
@@ -19,7 +18,7 @@ from planish.core.arrays import check_missing, check_numbers, described, map_pix
 from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Shape2D, Texts, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.detrend import shared_trend
@@ -38,7 +37,7 @@ _ORDER = "The first", "The second"
 _MOST_CELLS = 2**20
 
 
-class Correlation(ResultModel):
+class Correlation(DescribedModel):
     """Correlation of b with a over points of one size, and how sure it is.
 
     r is NaN with fewer than 3 points or a constant map; p and interval are, where fewer than 10
@@ -46,27 +45,36 @@ class Correlation(ResultModel):
     they cross at the means.
     """
 
-    point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
-    n: int = Field(
-        description=(
-            "Points that are valid in both. Neighbours resemble each other: n is no sample size."
-        )
-    )
-    r: Value = Field(description="Pearson's correlation.")
-    r2: Value = Field(description="Its square.")
-    rho: Value = optional("Spearman's rank correlation.")
-    slope: Value = Field(description="Least squares of b on a.")
-    intercept: Value = Field(description="Of the line of b on a.")
-    slope_x_on_y: Value = optional("Least squares of a on b: a per b.")
-    mean_a: Value = optional("Mean of a over the points.")
-    mean_b: Value = optional("Mean of b over the points.")
-    n_eff: Value = optional("Independent points that would test r = 0 as well.")
-    p: Value = optional(
-        "Of the test of r = 0; none where fewer than 10 independent points say nothing."
-    )
-    interval: Interval = optional("95 % interval of r.")
-    n_eff_interval: Value = optional("Independent points that would give this interval.")
-    warnings: Texts = Field(default=(), description="What to be careful about.")
+    point_um: float
+    """Edge of the squares over which both maps are averaged."""
+    n: int
+    """Points that are valid in both. Neighbours resemble each other: n is no sample size."""
+    r: Value
+    """Pearson's correlation."""
+    r2: Value
+    """Its square."""
+    rho: Value = NULL
+    """Spearman's rank correlation."""
+    slope: Value
+    """Least squares of b on a."""
+    intercept: Value
+    """Of the line of b on a."""
+    slope_x_on_y: Value = NULL
+    """Least squares of a on b: a per b."""
+    mean_a: Value = NULL
+    """Mean of a over the points."""
+    mean_b: Value = NULL
+    """Mean of b over the points."""
+    n_eff: Value = NULL
+    """Independent points that would test r = 0 as well."""
+    p: Value = NULL
+    """Of the test of r = 0; none where fewer than 10 independent points say nothing."""
+    interval: Interval = NULL
+    """95 % interval of r."""
+    n_eff_interval: Value = NULL
+    """Independent points that would give this interval."""
+    warnings: Texts = ()
+    """What to be careful about."""
 
     @property
     def direction(self) -> int:
@@ -74,14 +82,19 @@ class Correlation(ResultModel):
         return sign_of(self.interval)
 
 
-class PointsCorrelation(ResultModel):
+class PointsCorrelation(DescribedModel):
     """Correlation over points of one size that stands beside another one."""
 
-    point_um: float = Field(description="Edge of the points.")
-    n: int | None = optional("Points that are valid in all maps.")
-    r: Value = optional("Pearson's correlation.")
-    n_eff: Value = optional("Independent points.")
-    interval: Interval = optional("95 % interval of this r.")
+    point_um: float
+    """Edge of the points."""
+    n: int | None = None
+    """Points that are valid in all maps."""
+    r: Value = NULL
+    """Pearson's correlation."""
+    n_eff: Value = NULL
+    """Independent points."""
+    interval: Interval = NULL
+    """95 % interval of this r."""
 
     @classmethod
     def of(cls, row: Correlation, **extra_fields: Any) -> Self:
@@ -208,11 +221,11 @@ def correlate(
     ----------
     a, b : ndarray or DataArray, shape (rows, cols)
         On one grid; NaN is missing. A map in a store is read band by band.
-    mask : ndarray or DataArray of bool, shape (rows, cols), optional
+    mask : ndarray or DataArray of bool, shape (rows, cols)
         Pixels that count.
-    pixel_um : float or (float, float), optional
+    pixel_um : float or (float, float)
         Along y and x; maps with coordinates in um need none.
-    point_um : float, optional
+    point_um : float
         Both maps are averaged over squares of this edge first, over the pixels that are valid in
         both; a point counts when half of it is valid. 100 um is about what the eye resolves at 30
         cm (Hirn et al. 2009, section 3.3.1).

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from pydantic import Field
 
 from planish.analyze.agreement import AgreementFacts, answer_agreement
 from planish.analyze.attenuation import answer_attenuation
@@ -40,67 +39,72 @@ from planish.analyze.split_half import Reliability
 from planish.analyze.thin_regions import RegionDifference, answer_thin
 from planish.analyze.variograms import Variogram, answer_variograms
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Number, ResultModel, optional
+from planish.core.facts import DescribedModel, Number
 from planish.core.grid import Grid
 from planish.core.typing import Entries, Texts
 from planish.texture.covariance import Lags
 
 
-class EvidenceFacts(ResultModel):
+class EvidenceFacts(DescribedModel):
     """What stands beside the correlation of the maps that stand for two layers."""
 
-    a: str = Field(description="First layer.")
-    a_map: str = Field(description="Its map.")
-    b: str = Field(description="Second layer.")
-    b_map: str = Field(description="Its map.")
-    declared: bool = Field(description="Whether the study named the map before r was looked at.")
-    sizes: tuple[SizeRow, ...] = Field(default=(), description="r over points of growing size.")
-    bands: tuple[Band, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
-    resolution_per_um: Number = optional(
-        "Waves closer in frequency than this are not distinguished."
-    )
-    origins: tuple[float, float, float] | None = optional(
-        "Least, mean and largest r over grids of points that begin elsewhere."
-    )
-    curve: Curvature | None = optional("Whether the relation is straight or bent.")
-    kubelka_munk: KubelkaMunk | None = optional("Where the study asks for it.")
-    light_spread: LightSpread | None = optional("Where the study states how far light spreads.")
-    density_g_cm3: Number = optional(
-        "Of the coating, where the run knows it: it turns thickness into g/m2."
-    )
-    thin: tuple[RegionDifference, ...] = Field(
-        default=(), description="The image where the coating is thin."
-    )
-    short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
-    short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
-    light_field: LightField | None = optional(
-        "r without a smooth field that the map does not explain; of a sheet on an image."
-    )
-    attenuation_limit: Number = optional(
-        "The r that a perfect relation would show, by misplacement alone."
-    )
-    reliability: tuple[Reliability, ...] = Field(
-        default=(), description="Of the maps of sheets among the two, at the larger points."
-    )
-    attenuation_limit_noise: Number = optional(
-        "The r that a perfect relation would show, by the noise of these maps alone: an upper"
-        " bound."
-    )
-    attenuation_limit_both: Number = optional("The same by noise and misplacement together.")
-    conley_interval: ConleyInterval | None = optional(
-        "An interval from what single points add to r."
-    )
-    variograms: tuple[Variogram, ...] = Field(
-        default=(), description="How each map varies with distance."
-    )
-    correlogram: CorrelogramProfiles | None = optional("r at every shift of one map.")
-    agreement: AgreementFacts | None = optional("Where both maps are of the same quantity.")
-    partial: Partial | None = optional("Where the study names maps that stand beside.")
-    commonality: dict[str, float] | None = optional(
-        "Shares of the variance of b that the maps explain alone and only together (joined by ' and"
-        " '), at the larger points; their sum is r2 of all of them. Below 0 where a map hides what"
-        " another one does."
-    )
+    a: str
+    """First layer."""
+    a_map: str
+    """Its map."""
+    b: str
+    """Second layer."""
+    b_map: str
+    """Its map."""
+    declared: bool
+    """Whether the study named the map before r was looked at."""
+    sizes: tuple[SizeRow, ...] = ()
+    """r over points of growing size."""
+    bands: tuple[Band, ...] = ()
+    """Coherence by octaves of wavelength."""
+    resolution_per_um: Number = None
+    """Waves closer in frequency than this are not distinguished."""
+    origins: tuple[float, float, float] | None = None
+    """Least, mean and largest r over grids of points that begin elsewhere."""
+    curve: Curvature | None = None
+    """Whether the relation is straight or bent."""
+    kubelka_munk: KubelkaMunk | None = None
+    """Where the study asks for it."""
+    light_spread: LightSpread | None = None
+    """Where the study states how far light spreads."""
+    density_g_cm3: Number = None
+    """Of the coating, where the run knows it: it turns thickness into g/m2."""
+    thin: tuple[RegionDifference, ...] = ()
+    """The image where the coating is thin."""
+    short_waves: SizeRow | None = None
+    """Without waves above short_waves_um."""
+    short_waves_um: Number = None
+    """Longest wave that was left in for short_waves."""
+    light_field: LightField | None = None
+    """r without a smooth field that the map does not explain; of a sheet on an image."""
+    attenuation_limit: Number = None
+    """The r that a perfect relation would show, by misplacement alone."""
+    reliability: tuple[Reliability, ...] = ()
+    """Of the maps of sheets among the two, at the larger points."""
+    attenuation_limit_noise: Number = None
+    """The r that a perfect relation would show, by the noise of these maps alone: an upper
+    bound."""
+    attenuation_limit_both: Number = None
+    """The same by noise and misplacement together."""
+    conley_interval: ConleyInterval | None = None
+    """An interval from what single points add to r."""
+    variograms: tuple[Variogram, ...] = ()
+    """How each map varies with distance."""
+    correlogram: CorrelogramProfiles | None = None
+    """r at every shift of one map."""
+    agreement: AgreementFacts | None = None
+    """Where both maps are of the same quantity."""
+    partial: Partial | None = None
+    """Where the study names maps that stand beside."""
+    commonality: dict[str, float] | None = None
+    """Shares of the variance of b that the maps explain alone and only together (joined by ' and
+    '), at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another
+    one does."""
 
 
 class Question(NamedTuple):

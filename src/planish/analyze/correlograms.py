@@ -13,7 +13,7 @@ from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, filled, on_one_grid
 from planish.analyze.distributions import normal_tail
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Interval, ResultModel, Value
+from planish.core.facts import DescribedModel, Interval, Value
 from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Shape2D, pair_of
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.ncc import MaskedNcc
@@ -22,59 +22,63 @@ _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
 _RAYS = 72
 
 
-class LagProfile(ResultModel):
+class LagProfile(DescribedModel):
     """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
 
-    lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
-    r: tuple[Value, ...] = Field(description="Correlation.")
-    limit: tuple[Value, ...] = Field(
-        description="|r| that unrelated maps exceed at this lag with 1 %."
-    )
-    limit_of_any: tuple[Value, ...] = Field(
-        description="|r| that they exceed at any of all lags with 1 %."
-    )
+    lags_um: tuple[float, ...]
+    """How far one map is shifted."""
+    r: tuple[Value, ...]
+    """Correlation."""
+    limit: tuple[Value, ...]
+    """|r| that unrelated maps exceed at this lag with 1 %."""
+    limit_of_any: tuple[Value, ...]
+    """|r| that they exceed at any of all lags with 1 %."""
 
 
-class CorrelogramProfiles(ResultModel):
+class CorrelogramProfiles(DescribedModel):
     """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
 
-    cell_um: Pair = Field(description="Size of a cell along x and y.")
-    reach_um: float = Field(description="Largest shift.")
-    r_at_zero: Value = Field(description="Without a shift.")
-    peak_r: float = Field(description="Largest r of all shifts.")
-    lag_um: Pair = Field(description="Of the largest |r|.")
-    inner: bool = Field(
-        description="Whether that is a summit, not a slope that goes on beyond the reach."
-    )
-    widths_um: Interval = Field(description="Full widths at half height, the longer one first.")
-    angle_deg: Value = Field(
-        description="Direction of the longer width, clockwise from the x axis."
-    )
-    n_eff: Value = Field(description="Independent points.")
-    limit_of_any: Value = Field(
-        description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %."
-    )
-    beyond_chance: bool | None = Field(
-        description="Whether some lag exceeds that; none where nothing is claimed."
-    )
-    along_x: LagProfile = Field(description="Through no shift, along x.")
-    along_y: LagProfile = Field(description="Through no shift, along y.")
+    cell_um: Pair
+    """Size of a cell along x and y."""
+    reach_um: float
+    """Largest shift."""
+    r_at_zero: Value
+    """Without a shift."""
+    peak_r: float
+    """Largest r of all shifts."""
+    lag_um: Pair
+    """Of the largest |r|."""
+    inner: bool
+    """Whether that is a summit, not a slope that goes on beyond the reach."""
+    widths_um: Interval
+    """Full widths at half height, the longer one first."""
+    angle_deg: Value
+    """Direction of the longer width, clockwise from the x axis."""
+    n_eff: Value
+    """Independent points."""
+    limit_of_any: Value
+    """|r| at lag 0 that unrelated maps exceed at any lag with 1 %."""
+    beyond_chance: bool | None
+    """Whether some lag exceeds that; none where nothing is claimed."""
+    along_x: LagProfile
+    """Through no shift, along x."""
+    along_y: LagProfile
+    """Through no shift, along y."""
 
 
 class Correlogram(CorrelogramProfiles):
     """Correlation of map a with map b, moved by each lag; shape (lags along y, lags along x)."""
 
-    r: Floats = Field(
-        exclude=True, description="Of the pairs a[p], b[p + lag]; NaN where few pairs are left."
-    )
-    lag_y_um: Floats = Field(exclude=True, description="Lags of its rows.")
-    lag_x_um: Floats = Field(exclude=True, description="Lags of its columns.")
-    band_99: Floats = Field(
-        exclude=True, description="|r| that unrelated maps exceed at this lag with 1 %."
-    )
-    band_99_of_any: Floats = Field(
-        exclude=True, description="Limit that they exceed at any of all lags with 1 %."
-    )
+    r: Floats = Field(exclude=True)
+    """Of the pairs a[p], b[p + lag]; NaN where few pairs are left."""
+    lag_y_um: Floats = Field(exclude=True)
+    """Lags of its rows."""
+    lag_x_um: Floats = Field(exclude=True)
+    """Lags of its columns."""
+    band_99: Floats = Field(exclude=True)
+    """|r| that unrelated maps exceed at this lag with 1 %."""
+    band_99_of_any: Floats = Field(exclude=True)
+    """Limit that they exceed at any of all lags with 1 %."""
 
 
 def _profile(lags_um: Floats, *along: Floats) -> LagProfile:

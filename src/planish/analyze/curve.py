@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, correlate, valid_pixels
 from planish.analyze.distributions import around, sign_of, t_95
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, InputError
-from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Unsaved, Value
 from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.covariance import Lags, scatter_of
 from planish.texture.textures import centred, unexplained
@@ -72,7 +71,7 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel) -> IndependentPoi
     return IndependentPoints(n_eff=n_eff, n_eff_square=n_eff_square, n_eff_level=n_eff_level)
 
 
-class Curvature(ResultModel):
+class Curvature(DescribedModel):
     """A parabola through points, beside the straight line.
 
     The parabola is ``y = a + b (x - mean) + curvature (x - mean)^2``.
@@ -81,19 +80,28 @@ class Curvature(ResultModel):
     nothing by that.
     """
 
-    point_um: Value = optional("Edge of the points.")
-    n: int = Field(description="Points that are valid in both.")
-    n_eff: Value = Field(description="Independent points.")
-    n_eff_square: Unsaved = optional(
-        "Independent points that the interval of the curvature counts."
-    )
-    slope: Value = Field(description="Slope of the straight line.")
-    slope_interval: Interval = Field(description="95 % interval of the slope.")
-    curvature: Value = Field(description="Coefficient of the square.")
-    interval: Interval = Field(description="95 % interval of the curvature.")
-    r2_line: Value = Field(description="r2 of the straight line.")
-    r2_parabola: Value = Field(description="r2 of the parabola.")
-    words: str = Field(description="The same in words.")
+    point_um: Value = NULL
+    """Edge of the points."""
+    n: int
+    """Points that are valid in both."""
+    n_eff: Value
+    """Independent points."""
+    n_eff_square: Unsaved = NULL
+    """Independent points that the interval of the curvature counts."""
+    slope: Value
+    """Slope of the straight line."""
+    slope_interval: Interval
+    """95 % interval of the slope."""
+    curvature: Value
+    """Coefficient of the square."""
+    interval: Interval
+    """95 % interval of the curvature."""
+    r2_line: Value
+    """r2 of the straight line."""
+    r2_parabola: Value
+    """r2 of the parabola."""
+    words: str
+    """The same in words."""
 
 
 def straight_or_curved(
@@ -106,7 +114,7 @@ def straight_or_curved(
     x : array_like; thickness or weight of points; NaN is missing
     y : array_like, shape of x; grey value or reflectance of the same points
     n_eff : float; independent points, of :func:`planish.analyze.independent_points`
-    n_eff_square : float, optional
+    n_eff_square : float
         The same of the bend. The square of a map varies faster than the map, so there are more;
         ``n_eff`` without it, which makes the interval of the curvature too wide.
 

@@ -11,7 +11,7 @@ from planish.analyze.correlation import Correlation, PointsCorrelation, correlat
 from planish.analyze.distributions import widened
 from planish.core.area import common_means, square_px
 from planish.core.errors import SizeError
-from planish.core.facts import Interval, optional
+from planish.core.facts import NULL, Interval
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.textures import influence_on_r, standard
@@ -20,7 +20,8 @@ from planish.texture.textures import influence_on_r, standard
 class SizeRow(PointsCorrelation):
     """Correlation over points of one size, as one of many."""
 
-    band: Interval = optional("Joint 95 % band of r over all sizes.")
+    band: Interval = NULL
+    """Joint 95 % band of r over all sizes."""
 
 
 def size_curve(
@@ -36,7 +37,7 @@ def size_curve(
     ----------
     a, b, pixel_um
         As of :func:`planish.correlate`.
-    sizes_um : sequence of float, optional
+    sizes_um : sequence of float
         Edges of the points; from the pixel to an eighth of the shorter side where not given.
 
     Returns

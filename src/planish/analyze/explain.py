@@ -28,7 +28,7 @@ from planish.analyze.shared_errors import SharedError, bare_name, covariance_of_
 from planish.analyze.variograms import Variogram, variogram_of
 from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, InputError, SizeError
-from planish.core.facts import Interval, ResultModel, Trust, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Trust, Value
 from planish.core.grid import Grid
 from planish.core.text import and_join
 from planish.core.typing import Array, Floats, Ints
@@ -43,19 +43,25 @@ _SIZES = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of the curve, in declared cells
 _LEFT = 3.0  # ranges after which a twentieth of an exponential covariance is left
 
 
-class CoefficientFacts(ResultModel):
+class CoefficientFacts(DescribedModel):
     """What one predictor adds, the others held; of a field, or over sheets."""
 
-    title: str = Field(default="", description="Title of the predictor.")
-    units: str = Field(default="1", description="Unit of the predictor.")
-    standardised: Value = Field(
-        description="Standard deviations of the response per standard deviation of the predictor."
-    )
-    interval: Interval = optional("95 % interval of the standardised coefficient.")
-    plain: Value = Field(description="Units of the response per unit of the predictor.")
-    plain_interval: Interval = optional("95 % interval of the plain coefficient.")
-    p: Value = optional("Of the test that the true one is 0.")
-    p_of_set: Value = optional("The same after Holm, over all predictors.")
+    title: str = ""
+    """Title of the predictor."""
+    units: str = "1"
+    """Unit of the predictor."""
+    standardised: Value
+    """Standard deviations of the response per standard deviation of the predictor."""
+    interval: Interval = NULL
+    """95 % interval of the standardised coefficient."""
+    plain: Value
+    """Units of the response per unit of the predictor."""
+    plain_interval: Interval = NULL
+    """95 % interval of the plain coefficient."""
+    p: Value = NULL
+    """Of the test that the true one is 0."""
+    p_of_set: Value = NULL
+    """The same after Holm, over all predictors."""
 
     @property
     def direction(self) -> int:
@@ -66,89 +72,113 @@ class CoefficientFacts(ResultModel):
 class Coefficient(CoefficientFacts):
     """What one predictor adds in one field, the others held."""
 
-    standard_error: Value = optional("Of the standardised coefficient.")
-    n_eff: Value = optional("Independent cells for this coefficient.")
-    vif: Value = optional("Variance inflation: how much the other predictors widen the interval.")
-    unique: Value = optional("Share of the response's variance that it alone explains.")
-    rank: Value = optional("The standardised coefficient over the ranks of all maps.")
-    weighed: Value = optional(
-        "The standardised coefficient by generalised least squares, with the covariance of the"
-        " residuals as weights."
-    )
-    by_errors: Value = optional(
-        "What the stated errors of the maps add to the plain coefficient; it is taken off where the"
-        " model is corrected."
-    )
+    standard_error: Value = NULL
+    """Of the standardised coefficient."""
+    n_eff: Value = NULL
+    """Independent cells for this coefficient."""
+    vif: Value = NULL
+    """Variance inflation: how much the other predictors widen the interval."""
+    unique: Value = NULL
+    """Share of the response's variance that it alone explains."""
+    rank: Value = NULL
+    """The standardised coefficient over the ranks of all maps."""
+    weighed: Value = NULL
+    """The standardised coefficient by generalised least squares, with the covariance of the
+    residuals as weights."""
+    by_errors: Value = NULL
+    """What the stated errors of the maps add to the plain coefficient; it is taken off where the
+    model is corrected."""
 
 
-class SharedPart(ResultModel):
+class SharedPart(DescribedModel):
     """Two maps of a model that contain the same map by construction."""
 
-    a: str = Field(description="First map.")
-    b: str = Field(description="Second map.")
-    parts: tuple[str, ...] = Field(description="The largest maps that both contain.")
+    a: str
+    """First map."""
+    b: str
+    """Second map."""
+    parts: tuple[str, ...]
+    """The largest maps that both contain."""
 
 
-class CellSizeRow(ResultModel):
+class CellSizeRow(DescribedModel):
     """The model over cells of one size."""
 
-    cell_um: float = Field(description="Edge of a cell.")
-    n: int = Field(description="Cells.")
-    n_eff: Value = optional("Independent cells.")
-    r2: Value = optional("Share of the variance that is explained.")
-    standardised: dict[str, Value] = Field(default={}, description="Coefficients by predictor.")
-    intervals: dict[str, Interval] = Field(default={}, description="Their 95 % intervals.")
-    reason: str = Field(default="", description="Why there is no model of that size.")
+    cell_um: float
+    """Edge of a cell."""
+    n: int
+    """Cells."""
+    n_eff: Value = NULL
+    """Independent cells."""
+    r2: Value = NULL
+    """Share of the variance that is explained."""
+    standardised: dict[str, Value] = Field(default={})
+    """Coefficients by predictor."""
+    intervals: dict[str, Interval] = Field(default={})
+    """Their 95 % intervals."""
+    reason: str = ""
+    """Why there is no model of that size."""
 
 
-class ModelFacts(ResultModel):
+class ModelFacts(DescribedModel):
     """A response explained by several maps; of a field, or over sheets."""
 
-    response: str = Field(description="Map that is explained.")
-    title: str = Field(default="", description="Its title.")
-    units: str = Field(default="1", description="Its unit.")
-    of: tuple[str, ...] = Field(description="Maps that explain it.")
-    cell_um: float = Field(description="Edge of a cell.")
-    corrected: bool = Field(
-        default=False, description="Whether the stated errors of the maps were taken off."
-    )
-    declared: bool | None = optional(
-        "Whether the study of the run declared this model before it was run; none without a study."
-    )
-    n: int = Field(description="Cells with a value in all maps. Neighbours resemble each other.")
-    n_eff: Value = Field(description="Independent cells, of the coefficient with the fewest.")
-    r2: Value = Field(description="Share of the variance that all predictors explain together.")
-    r2_out: Value = optional("The same of blocks that the model was not fitted to.")
-    lead: Value = optional(
-        "Size of the largest standardised coefficient less that of the next one."
-    )
-    lead_interval: Interval = optional("Its 95 % interval.")
+    response: str
+    """Map that is explained."""
+    title: str = ""
+    """Its title."""
+    units: str = "1"
+    """Its unit."""
+    of: tuple[str, ...]
+    """Maps that explain it."""
+    cell_um: float
+    """Edge of a cell."""
+    corrected: bool = False
+    """Whether the stated errors of the maps were taken off."""
+    declared: bool | None = None
+    """Whether the study of the run declared this model before it was run; none without a study."""
+    n: int
+    """Cells with a value in all maps. Neighbours resemble each other."""
+    n_eff: Value
+    """Independent cells, of the coefficient with the fewest."""
+    r2: Value
+    """Share of the variance that all predictors explain together."""
+    r2_out: Value = NULL
+    """The same of blocks that the model was not fitted to."""
+    lead: Value = NULL
+    """Size of the largest standardised coefficient less that of the next one."""
+    lead_interval: Interval = NULL
+    """Its 95 % interval."""
 
 
 class Explained(ModelFacts):
     """A response explained by several maps, on cells of one size."""
 
-    block_um: Value = optional("Width of these blocks, beyond the reach of the residuals.")
-    residuals: Variogram | None = optional("How far its residuals resemble each other.")
-    intercept: Value = Field(description="Of the plain model.")
-    shared: Value = optional("Share of the variance that the predictors explain only together.")
-    coefficients: dict[str, Coefficient] = Field(description="By predictor.")
-    sizes: tuple[CellSizeRow, ...] = Field(default=(), description="The same over other cells.")
-    shared_errors: tuple[SharedError, ...] = Field(
-        default=(), description="Predictors whose errors go together."
-    )
-    shared_parts: tuple[SharedPart, ...] = Field(
-        default=(), description="Maps of the model that contain the same map."
-    )
-    controls: tuple[str, ...] = Field(
-        default=(), description="Predictors that are no property of the sheet: negative controls."
-    )
-    trust: Trust = Field(default="ok", description="What the checks of the run leave of it.")
-    reason: str = Field(default="", description="Why a number is missing.")
+    block_um: Value = NULL
+    """Width of these blocks, beyond the reach of the residuals."""
+    residuals: Variogram | None = None
+    """How far its residuals resemble each other."""
+    intercept: Value
+    """Of the plain model."""
+    shared: Value = NULL
+    """Share of the variance that the predictors explain only together."""
+    coefficients: dict[str, Coefficient]
+    """By predictor."""
+    sizes: tuple[CellSizeRow, ...] = ()
+    """The same over other cells."""
+    shared_errors: tuple[SharedError, ...] = ()
+    """Predictors whose errors go together."""
+    shared_parts: tuple[SharedPart, ...] = ()
+    """Maps of the model that contain the same map."""
+    controls: tuple[str, ...] = ()
+    """Predictors that are no property of the sheet: negative controls."""
+    trust: Trust = "ok"
+    """What the checks of the run leave of it."""
+    reason: str = ""
+    """Why a number is missing."""
     #: Dataset (cell_y, cell_x): means over cells, residual, and each predictor freed of the others.
-    cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = Field(
-        default=None, description="Cells of the fit, for figures; in no file."
-    )
+    cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = None
+    """Cells of the fit, for figures; in no file."""
 
 
 def strongest(coefficients: Mapping[str, CoefficientFacts]) -> list[str]:

@@ -13,27 +13,31 @@ from planish.analyze.distributions import p_of
 from planish.analyze.explain import Coefficient, CoefficientFacts, Explained, ModelFacts, strongest
 from planish.analyze.pooled import effects_of_sheets
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
-from planish.core.facts import optional
 from planish.core.typing import Floats
 
 
 class PooledCoefficient(CoefficientFacts):
     """What one predictor adds: mean over the sheets of a series, with the interval of that."""
 
-    between_sheets: RandomEffects | None = optional("How much sheets differ.")
-    reason: str = Field(default="", description="Why there is no interval.")
+    between_sheets: RandomEffects | None = None
+    """How much sheets differ."""
+    reason: str = ""
+    """Why there is no interval."""
 
 
 class ExplainedSeries(ModelFacts):
     """A response explained by several maps: means over the sheets of a series."""
 
-    sheets: int = Field(description="Sheets that count.")
-    fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    coefficients: dict[str, PooledCoefficient] = Field(description="By predictor.")
-    specimens: dict[str, Explained] = Field(description="The model of each specimen.")
-    left_out: dict[str, str] = Field(
-        default={}, description="Specimens without a model, and why there is none."
-    )
+    sheets: int
+    """Sheets that count."""
+    fields: int
+    """Specimens that count; each is a field of a sheet."""
+    coefficients: dict[str, PooledCoefficient]
+    """By predictor."""
+    specimens: dict[str, Explained]
+    """The model of each specimen."""
+    left_out: dict[str, str] = Field(default={})
+    """Specimens without a model, and why there is none."""
 
 
 def explained_over_sheets(

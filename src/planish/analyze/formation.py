@@ -11,13 +11,12 @@ import math
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 from scipy import fft
 
 from planish.analyze.distributions import variance_interval
 from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.typing import Array, Floats, Pair, Shape2D, pair_of
 
 _DIRECTIONS = 2048  # of a fibre: its peak over directions is as narrow as a wave over its length
@@ -25,13 +24,17 @@ _PARTS = 8  # of a cell, for the covariance of the means over cells
 _LEAST_CELLS = 9
 
 
-class RandomSheet(ResultModel):
+class RandomSheet(DescribedModel):
     """A random sheet of fibres that are all alike."""
 
-    length_mm: float = Field(description="Length of a fibre.")
-    width_um: float = Field(description="Width of a fibre.")
-    coarseness_mg_m: float = Field(description="Mass of a fibre over its length.")
-    grammage_g_m2: float = Field(description="Mean mass of the sheet over its area.")
+    length_mm: float
+    """Length of a fibre."""
+    width_um: float
+    """Width of a fibre."""
+    coarseness_mg_m: float
+    """Mass of a fibre over its length."""
+    grammage_g_m2: float
+    """Mean mass of the sheet over its area."""
 
     @property
     def point_cov2(self) -> float:
@@ -75,16 +78,23 @@ class RandomSheet(ResultModel):
         return covariance[np.ix_(*lags)]
 
 
-class Formation(ResultModel):
+class Formation(DescribedModel):
     """Formation number of a map over cells of one size, and the random sheet it is over."""
 
-    number: Value = Field(description="cov over that of the random sheet, over the same cells.")
-    interval: Interval = optional("Its 95 % interval.")
-    cell_um: float = Field(description="Edge of a cell.")
-    n: int = Field(description="Cells that are known.")
-    cov: Value = Field(description="Of the means over cells, without noise.")
-    random_cov: Value = Field(description="Of the random sheet, over the same cells.")
-    sheet: RandomSheet = Field(description="The random sheet.")
+    number: Value
+    """cov over that of the random sheet, over the same cells."""
+    interval: Interval = NULL
+    """Its 95 % interval."""
+    cell_um: float
+    """Edge of a cell."""
+    n: int
+    """Cells that are known."""
+    cov: Value
+    """Of the means over cells, without noise."""
+    random_cov: Value
+    """Of the random sheet, over the same cells."""
+    sheet: RandomSheet
+    """The random sheet."""
 
 
 def formation_number(
@@ -104,7 +114,7 @@ def formation_number(
     pixel_um : (float, float), along y and x
     sheet : RandomSheet
     cell_um : float; edge of a cell
-    half_difference : ndarray, shape (rows, cols), optional
+    half_difference : ndarray, shape (rows, cols)
         Half the difference of two half measurements, whose variance is noise.
 
     Returns

@@ -9,13 +9,12 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 from scipy import ndimage
 
 from planish.analyze.correlation import valid_pixels
 from planish.core.arrays import values_of
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Number, ResultModel, optional
+from planish.core.facts import DescribedModel, Number
 from planish.core.typing import Array, Bools, Pair, Pixel, pair_of
 from planish.io.light import LightFacts
 from planish.io.params import ImageParams
@@ -34,19 +33,25 @@ SCREEN_REACH = 3.0
 """Standard deviations to either side at which the Gaussian ends."""
 
 
-class ImageFacts(ResultModel):
+class ImageFacts(DescribedModel):
     """What the values of an image are that is compared."""
 
-    quantity: Literal["grey value, uncalibrated", "reflectance", "reflectance, up to a factor"] = (
-        Field(description="What the grey is taken for.")
-    )
-    gamma: Gamma | None = optional("Curve or exponent that was undone, if one was given.")
-    light: LightFacts | None = optional("White and dark image, if they were given.")
-    dark_grey: Number = optional("Grey of the dark reference, if it was given.")
-    white_grey: Number = optional("Grey of the white reference, whose reflectance counts as 1.")
-    screen_um: Number = optional("Period of the print screen that was taken off, if it was given.")
-    sigma_um: Number = optional("Standard deviation of the Gaussian that took it off.")
-    reach_um: Number = optional("How far it reaches: so much more around holes is not valid.")
+    quantity: Literal["grey value, uncalibrated", "reflectance", "reflectance, up to a factor"]
+    """What the grey is taken for."""
+    gamma: Gamma | None = None
+    """Curve or exponent that was undone, if one was given."""
+    light: LightFacts | None = None
+    """White and dark image, if they were given."""
+    dark_grey: Number = None
+    """Grey of the dark reference, if it was given."""
+    white_grey: Number = None
+    """Grey of the white reference, whose reflectance counts as 1."""
+    screen_um: Number = None
+    """Period of the print screen that was taken off, if it was given."""
+    sigma_um: Number = None
+    """Standard deviation of the Gaussian that took it off."""
+    reach_um: Number = None
+    """How far it reaches: so much more around holes is not valid."""
 
     @property
     def sentence(self) -> str:
@@ -107,7 +112,7 @@ def compared_image(
     ----------
     image : DataArray (y, x), of :func:`planish.read_image`
     params : ImageParams
-    mask : ndarray of bool, optional
+    mask : ndarray of bool
         Pixels that may count for their neighbours when the screen is taken off; the others become
         NaN.
 

@@ -10,14 +10,13 @@ from collections.abc import Callable
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
-from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.reflectance import layer_over
 from planish.core.typing import Entries, Floats, Pair, pair_of
 
@@ -26,26 +25,33 @@ _LOW = np.array([0.0, 0.0])
 _HIGH = np.array([1e6, 1.0])
 
 
-class KubelkaMunk(ResultModel):
+class KubelkaMunk(DescribedModel):
     """Kubelka and Munk's curve through points; called with x, it gives y."""
 
-    point_um: Value = optional("Edge of a point.")
-    ratio: float = Field(description="Absorption over scattering, as it was given.")
-    n: int | None = optional("Points that are valid in both maps.")
-    n_eff: Value = optional("Independent points.")
-    weight: bool = Field(
-        default=False,
-        description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um.",
-    )
-    scattering: Value = optional("Coefficient S of the coating.")
-    scattering_interval: Interval = optional("95 % interval of S; none where it has no end.")
-    backing: Value = optional("Reflectance below the coating, extrapolated.")
-    backing_interval: Interval = optional("Its 95 % interval.")
-    backing_at_ends: Interval = optional(
-        "Backing that fits best with each end of the interval of S."
-    )
-    rms: Value = optional("Of what the curve leaves of the reflectance.")
-    reason: str | None = optional("Why there is no curve.")
+    point_um: Value = NULL
+    """Edge of a point."""
+    ratio: float
+    """Absorption over scattering, as it was given."""
+    n: int | None = None
+    """Points that are valid in both maps."""
+    n_eff: Value = NULL
+    """Independent points."""
+    weight: bool = False
+    """Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."""
+    scattering: Value = NULL
+    """Coefficient S of the coating."""
+    scattering_interval: Interval = NULL
+    """95 % interval of S; none where it has no end."""
+    backing: Value = NULL
+    """Reflectance below the coating, extrapolated."""
+    backing_interval: Interval = NULL
+    """Its 95 % interval."""
+    backing_at_ends: Interval = NULL
+    """Backing that fits best with each end of the interval of S."""
+    rms: Value = NULL
+    """Of what the curve leaves of the reflectance."""
+    reason: str | None = None
+    """Why there is no curve."""
 
     def __call__(self, x: ArrayLike) -> Floats:
         """Reflectance of the layer at thicknesses or weights x."""
@@ -77,7 +83,7 @@ def fit_kubelka_munk(
         Relative reflectance of the same points, 0 to 1: grey less the dark level, over that of a
         white reference.
     n_eff : float; independent points, as for :func:`straight_or_curved`
-    n_eff_level : float, optional
+    n_eff_level : float
         Independent points of the mean of y, of :func:`planish.analyze.independent_points`;
         ``n_eff`` without it, which makes the intervals too narrow where the rest of the brightness
         has long waves.

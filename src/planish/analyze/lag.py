@@ -12,11 +12,10 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.numbers import in_ascii, to_spread
 from planish.core.typing import Entries, Floats, Pair, Shape2D, pair_of
 from planish.texture.detrend import PhaseSurrogate
@@ -48,45 +47,59 @@ def inconclusive(sentence: str) -> Check:
     return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
 
 
-class LagTile(ResultModel):
+class LagTile(DescribedModel):
     """Lag of one part of the map."""
 
-    x: float = Field(description="Middle of the tile, um.")
-    y: float = Field(description="Middle of the tile, um.")
-    lag_um: Interval = Field(description="Lag of the tile, along x and y.")
-    distinct: bool = Field(description="Whether its peak stands out from chance.")
+    x: float
+    """Middle of the tile, um."""
+    y: float
+    """Middle of the tile, um."""
+    lag_um: Interval
+    """Lag of the tile, along x and y."""
+    distinct: bool
+    """Whether its peak stands out from chance."""
 
 
-class LagNumbers(ResultModel):
+class LagNumbers(DescribedModel):
     """What two maps say of their registration by their own texture; a check, and no gate."""
 
-    property: str = Field(description="The map that was compared with the image.")
-    lag_um: Interval = Field(
-        description=(
-            "The image shows at p + lag what the map shows at p; along x and y. None where"
-            " inconclusive."
-        )
-    )
-    se_um: Interval = Field(description="Standard error of the lag, along x and y.")
-    length_um: Value = Field(description="Length of the lag.")
-    length_se_um: Value = Field(description="Standard error of the length.")
-    r: Value = Field(description="r at the best lag; it was searched for and measures no relation.")
-    r_at_zero: Value = Field(description="r without any lag.")
-    limit_r: Value = optional("|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
-    reason: str | None = Field(
-        description="Why the lag is inconclusive: few, texture, border, rival or light."
-    )
-    agrees: bool | None = Field(
-        description="Whether the lag agrees with the marks; None where inconclusive."
-    )
-    expected_um: Value = Field(description="Expected error of the registration, rms over the map.")
-    sentence: str = Field(description="The same in words.")
-    pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
-    n: int = Field(description="Pixels that are known.")
-    reach_um: float = Field(description="Largest lag that was searched.")
-    light: Value = optional("Share of what is explained that needs the slopes of the surface.")
-    tile_um: Value = Field(description="Side of a tile.")
-    tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
+    property: str
+    """The map that was compared with the image."""
+    lag_um: Interval
+    """The image shows at p + lag what the map shows at p; along x and y. None where
+    inconclusive."""
+    se_um: Interval
+    """Standard error of the lag, along x and y."""
+    length_um: Value
+    """Length of the lag."""
+    length_se_um: Value
+    """Standard error of the length."""
+    r: Value
+    """r at the best lag; it was searched for and measures no relation."""
+    r_at_zero: Value
+    """r without any lag."""
+    limit_r: Value = NULL
+    """|r| that unrelated maps exceed in the search in 1 of 1000 cases."""
+    reason: str | None
+    """Why the lag is inconclusive: few, texture, border, rival or light."""
+    agrees: bool | None
+    """Whether the lag agrees with the marks; None where inconclusive."""
+    expected_um: Value
+    """Expected error of the registration, rms over the map."""
+    sentence: str
+    """The same in words."""
+    pixel_um: Pair
+    """Pixel of the maps that were compared, along y and x."""
+    n: int
+    """Pixels that are known."""
+    reach_um: float
+    """Largest lag that was searched."""
+    light: Value = NULL
+    """Share of what is explained that needs the slopes of the surface."""
+    tile_um: Value
+    """Side of a tile."""
+    tiles: tuple[LagTile, ...]
+    """Lags of parts of the map."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,7 +7,6 @@ together: a field that is fitted alone also takes off the long waves that both h
 import math
 
 import numpy as np
-from pydantic import Field
 from scipy import special
 
 from planish.analyze.compared_maps import ComparedMaps
@@ -24,7 +23,7 @@ from planish.analyze.correlation import (
 from planish.analyze.distributions import fisher_z, p_of, widened
 from planish.analyze.quadratic_field import QuadraticField, points_of, terms_of_points
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Interval, Unsaved, Value, optional
+from planish.core.facts import NULL, Interval, Unsaved, Value
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Entries, Floats, Pair, pair_of
 from planish.texture.covariance import Lags
@@ -39,23 +38,22 @@ class LightField(PointsCorrelation):
     The long waves of the paper that look like such a field are off as well.
     """
 
-    r_plain: Value = Field(description="r over the same points with the field left in.")
-    interval_plain: Interval = Field(description="Its 95 % interval.")
-    share: Value = Field(description="Share of the image's variance that the field holds.")
-    share_even: Value = Field(
-        description="Share that the texture of the image alone gives on average, in even light."
-    )
-    p_even: Value = Field(description="Probability of a share this large in even light.")
-    span: Value = Field(
-        description="Largest less smallest value of the field, as a share of the image's mean."
-    )
-    inflation: Unsaved = optional(
-        "Standard deviation of the map over that of what the field leaves of it."
-    )
-    declared: bool = Field(
-        default=False,
-        description="Whether r without the field leads, as the study declared.",
-    )
+    r_plain: Value
+    """r over the same points with the field left in."""
+    interval_plain: Interval
+    """Its 95 % interval."""
+    share: Value
+    """Share of the image's variance that the field holds."""
+    share_even: Value
+    """Share that the texture of the image alone gives on average, in even light."""
+    p_even: Value
+    """Probability of a share this large in even light."""
+    span: Value
+    """Largest less smallest value of the field, as a share of the image's mean."""
+    inflation: Unsaved = NULL
+    """Standard deviation of the map over that of what the field leaves of it."""
+    declared: bool = False
+    """Whether r without the field leads, as the study declared."""
 
     @property
     def change(self) -> float:

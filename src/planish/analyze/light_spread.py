@@ -4,7 +4,6 @@ import math
 from functools import partial
 
 import numpy as np
-from pydantic import Field
 from scipy import fft
 
 from planish.analyze.compared_maps import ComparedMaps
@@ -12,24 +11,26 @@ from planish.analyze.correlation import PointsCorrelation, correlate, valid_pixe
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Entries, Floats, Pixel
 from planish.texture.spectra import frequencies_of, padded_shape, padded_spectrum
 
 
-class _Spread(ResultModel):
-    width_um: float = Field(
-        description="Length over which the point spread function falls to 1/e, as it was given."
-    )
+class _Spread(DescribedModel):
+    width_um: float
+    """Length over which the point spread function falls to 1/e, as it was given."""
 
 
 class LightSpread(PointsCorrelation, _Spread):
     """The headline correlation with the coating blurred as light is that spreads in paper."""
 
-    difference: Value = optional("This r minus that of the coating as it is, at the same points.")
-    difference_interval: Interval = optional("95 % interval of the difference.")
-    reason: str | None = optional("Why there is no such r.")
+    difference: Value = NULL
+    """This r minus that of the coating as it is, at the same points."""
+    difference_interval: Interval = NULL
+    """95 % interval of the difference."""
+    reason: str | None = None
+    """Why there is no such r."""
 
 
 def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:

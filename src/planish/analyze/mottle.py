@@ -11,12 +11,11 @@ import math
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
-from pydantic import Field
 
 from planish.analyze.image_values import known_pixels, smooth
 from planish.core.area import common_means
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Value
 from planish.core.grid import Grid, shorter_side_um
 from planish.core.numbers import in_words
 from planish.core.typing import Pixel
@@ -27,30 +26,35 @@ _HALF = math.sqrt(math.log(2.0) / 2) / math.pi
 _OCTAVE = math.sqrt(math.log2(25 / 16) / 2)
 
 
-class MottleBand(ResultModel):
+class MottleBand(DescribedModel):
     """How uneven an image is in one octave of wavelength."""
 
-    shortest_um: float = Field(description="Shortest wave of the octave.")
-    longest_um: float = Field(description="Longest wave of the octave.")
-    coefficient_of_variation: float = Field(
-        description="Standard deviation of the octave over the mean."
-    )
+    shortest_um: float
+    """Shortest wave of the octave."""
+    longest_um: float
+    """Longest wave of the octave."""
+    coefficient_of_variation: float
+    """Standard deviation of the octave over the mean."""
 
 
-class Mottle(ResultModel):
+class Mottle(DescribedModel):
     """How uneven an image is, by octaves of wavelength.
 
     After the idea of ISO/IEC 24790 and ISO 15311.
     """
 
-    layer: str = Field(default="", description="Name of the layer.")
-    bands: tuple[MottleBand, ...] = Field(
-        default=(), description="From the longest waves to the shortest."
-    )
-    mean: Value = optional("Of the image.")
-    n: int | None = optional("Pixels, or means over several, that are known.")
-    measured: str | None = optional("What the values are of.")
-    reason: str | None = optional("Why there is none.")
+    layer: str = ""
+    """Name of the layer."""
+    bands: tuple[MottleBand, ...] = ()
+    """From the longest waves to the shortest."""
+    mean: Value = NULL
+    """Of the image."""
+    n: int | None = None
+    """Pixels, or means over several, that are known."""
+    measured: str | None = None
+    """What the values are of."""
+    reason: str | None = None
+    """Why there is none."""
 
 
 def print_mottle(
@@ -70,7 +74,7 @@ def print_mottle(
     pixel_um : float or (float, float), along y and x
     shortest_um : float
         Where the first octave begins; not below 4 pixels. A halftone screen lies below 250 um.
-    longest_um : float, optional
+    longest_um : float
         No octave goes beyond it. By default, and at most, a fifth of the shorter side of the image.
     quantity : str; what the values are, for the sentence of what was measured
 

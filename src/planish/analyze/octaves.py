@@ -7,34 +7,37 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 from scipy import fft, ndimage
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import valid_pixels
 from planish.core.errors import CannotMeasure
-from planish.core.facts import ResultModel, Unsaved, Value, optional
+from planish.core.facts import NULL, DescribedModel, Unsaved, Value
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Complexes, Entries, Floats, Ints, Pair, Pixel, Shape
 from planish.texture.detrend import without_trend
 from planish.texture.spectra import frequencies_of
 
 
-class Band(ResultModel):
+class Band(DescribedModel):
     """What two maps have in common in one octave of wavelengths."""
 
-    shortest_um: float = Field(description="Shortest wavelength of the octave.")
-    longest_um: float = Field(description="Longest wavelength of the octave.")
-    coherence: Value = Field(
-        description="Squared, corrected for chance; a little below 0 where there is nothing."
-    )
-    p: Unsaved = optional("Of the test that there is nothing in common.")
-    p_of_bands: Value = Field(description="p of all octaves together, after Sidak.")
-    phase_deg: Value = Field(
-        description="Phase of b against a; 0 or 180 where one simply follows the other."
-    )
-    gain: Value = Field(description="Change of b per change of a, with its sign.")
-    modes: Value = Field(description="Independent waves.")
+    shortest_um: float
+    """Shortest wavelength of the octave."""
+    longest_um: float
+    """Longest wavelength of the octave."""
+    coherence: Value
+    """Squared, corrected for chance; a little below 0 where there is nothing."""
+    p: Unsaved = NULL
+    """Of the test that there is nothing in common."""
+    p_of_bands: Value
+    """p of all octaves together, after Sidak."""
+    phase_deg: Value
+    """Phase of b against a; 0 or 180 where one simply follows the other."""
+    gain: Value
+    """Change of b per change of a, with its sign."""
+    modes: Value
+    """Independent waves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,6 @@ from enum import StrEnum
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
-from pydantic import Field
 from scipy import ndimage
 
 from planish.analyze.correlation import correlate, pearson, valid_pixels
@@ -19,7 +18,7 @@ from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.core.arrays import check_numbers
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Interval, ResultModel, Value, is_known, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value, is_known
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats, Ints, Pair, Texts, pair_of
@@ -57,24 +56,35 @@ class RegistrationBasis(StrEnum):
         return f"registration: {self.value}"
 
 
-class RefinementR(ResultModel):
+class RefinementR(DescribedModel):
     """r after a refinement that did not maximise it, or beside what a search reaches by chance."""
 
-    r: Value = Field(description="Pearson's correlation.")
-    interval: Interval = optional("95 % interval of r.")
-    n_eff: Value = optional("Independent points.")
-    r_of_marks: Value = optional("By the marks alone, over the same pixels.")
-    gain_interval: Interval = optional("95 % interval of r - r_of_marks.")
-    registration: str = Field(
-        description="What r rests on: cross-fitted, or beside a searched null."
-    )
-    sentence: str = Field(description="The same in words.")
-    n: int | None = optional("Pixels that are reported on.")
-    tile_um: Value = optional("Side of the tiles of the checkerboard.")
-    guard_um: Value = optional("Distance kept from the pixels that were tuned on.")
-    null_95: Value = optional("|r| that the search reaches on 95 % of unrelated maps.")
-    p: Value = optional("Share of unrelated maps that reach this r.")
-    surrogates: int | None = optional("Unrelated maps that were searched.")
+    r: Value
+    """Pearson's correlation."""
+    interval: Interval = NULL
+    """95 % interval of r."""
+    n_eff: Value = NULL
+    """Independent points."""
+    r_of_marks: Value = NULL
+    """By the marks alone, over the same pixels."""
+    gain_interval: Interval = NULL
+    """95 % interval of r - r_of_marks."""
+    registration: str
+    """What r rests on: cross-fitted, or beside a searched null."""
+    sentence: str
+    """The same in words."""
+    n: int | None = None
+    """Pixels that are reported on."""
+    tile_um: Value = NULL
+    """Side of the tiles of the checkerboard."""
+    guard_um: Value = NULL
+    """Distance kept from the pixels that were tuned on."""
+    null_95: Value = NULL
+    """|r| that the search reaches on 95 % of unrelated maps."""
+    p: Value = NULL
+    """Share of unrelated maps that reach this r."""
+    surrogates: int | None = None
+    """Unrelated maps that were searched."""
 
 
 def cross_fitted(
@@ -235,23 +245,33 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None) -> Refin
     )
 
 
-class RefinementFacts(ResultModel):
+class RefinementFacts(DescribedModel):
     """A registration refined by the maps themselves."""
 
-    model: str = Field(description="affine or bspline.")
-    metric: str = Field(description="What was made as large as possible.")
-    property: str = Field(description="The map that was refined.")
-    moved_rms_um: float = Field(description="Displacement, rms over the pixels.")
-    moved_most_um: float = Field(description="Largest displacement.")
-    share_of_expected_error: float = Field(
-        description="Largest ratio of displacement to expected error."
-    )
-    area: tuple[float, ...] = Field(description="Least and largest local change of area.")
-    strain: float = Field(description="Largest local strain, without its sign.")
-    warnings: Texts = Field(description="What to be careful about.")
-    sentence: str = Field(description="The same in words.")
-    longest_wave_um: float = Field(description="Longer waves were taken off both maps first.")
-    correlation: RefinementR = Field(description="r that the refinement did not maximise.")
+    model: str
+    """affine or bspline."""
+    metric: str
+    """What was made as large as possible."""
+    property: str
+    """The map that was refined."""
+    moved_rms_um: float
+    """Displacement, rms over the pixels."""
+    moved_most_um: float
+    """Largest displacement."""
+    share_of_expected_error: float
+    """Largest ratio of displacement to expected error."""
+    area: tuple[float, ...]
+    """Least and largest local change of area."""
+    strain: float
+    """Largest local strain, without its sign."""
+    warnings: Texts
+    """What to be careful about."""
+    sentence: str
+    """The same in words."""
+    longest_wave_um: float
+    """Longer waves were taken off both maps first."""
+    correlation: RefinementR
+    """r that the refinement did not maximise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,38 +6,40 @@ Down to which wavelength they show the same.
 import math
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.octaves import Waves, half_plane
 from planish.core.errors import CannotMeasure
-from planish.core.facts import ResultModel, optional
+from planish.core.facts import DescribedModel
 from planish.core.typing import Array, Floats, Pixel
 
 
-class Ring(ResultModel):
+class Ring(DescribedModel):
     """How far two measurements of one quantity agree in waves of one length."""
 
-    wavelength_um: float = Field(description="Middle of the ring.")
-    correlation: float = Field(description="Of the waves of the ring.")
-    threshold: float = Field(
-        description="Correlation at which the mean of both holds half a bit a wave."
-    )
-    modes: float = Field(description="Independent waves.")
+    wavelength_um: float
+    """Middle of the ring."""
+    correlation: float
+    """Of the waves of the ring."""
+    threshold: float
+    """Correlation at which the mean of both holds half a bit a wave."""
+    modes: float
+    """Independent waves."""
 
 
-class RingCorrelation(ResultModel):
+class RingCorrelation(DescribedModel):
     """Rings of waves, and the wavelength where their correlation first falls below the threshold.
 
     No wavelength where it never does, or where it is below from the longest waves on: the sentence
     says which.
     """
 
-    rings: tuple[Ring, ...] = Field(
-        default=(), description="From the longest waves to the shortest."
-    )
-    resolution_um: float | None = optional("Shortest wave that both show.")
-    sentence: str | None = optional("The same in words.")
+    rings: tuple[Ring, ...] = ()
+    """From the longest waves to the shortest."""
+    resolution_um: float | None = None
+    """Shortest wave that both show."""
+    sentence: str | None = None
+    """The same in words."""
 
 
 def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:

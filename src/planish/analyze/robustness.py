@@ -11,7 +11,6 @@ from itertools import combinations, product
 
 import numpy as np
 import xarray as xr
-from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import (
@@ -30,32 +29,30 @@ from planish.core.area import common_means, square_px, valid_in_all
 from planish.core.arrays import values_of
 from planish.core.axial import refuse_axial
 from planish.core.errors import InputError, PlanishError, SizeError
-from planish.core.facts import ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Value
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Entries, Floats, Pixel, Texts
 from planish.measure.registry import shared_parts
 from planish.texture.textures import low_pass_known, standard
 
 
-class _Given(ResultModel):
-    given: Texts = Field(description="Maps of the sheet whose part was taken off both.")
+class _Given(DescribedModel):
+    given: Texts
+    """Maps of the sheet whose part was taken off both."""
 
 
 class Partial(PointsCorrelation, _Given):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
-    reason: str | None = optional("Why there is no partial correlation.")
-    r_alone: Value = optional("r over the same points with no part taken off.")
-    over_control: Texts = Field(
-        default=(),
-        description=(
-            "Maps whose part was taken off although they contain the map, are part of it or share a"
-            " part with it: what they take off is the map itself."
-        ),
-    )
-    over_control_parts: tuple[Texts, ...] = Field(
-        default=(), description="For each of these, the largest maps that both contain."
-    )
+    reason: str | None = None
+    """Why there is no partial correlation."""
+    r_alone: Value = NULL
+    """r over the same points with no part taken off."""
+    over_control: Texts = ()
+    """Maps whose part was taken off although they contain the map, are part of it or share a part
+    with it: what they take off is the map itself."""
+    over_control_parts: tuple[Texts, ...] = ()
+    """For each of these, the largest maps that both contain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

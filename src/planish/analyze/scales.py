@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.distributions import around, t_95, variance_interval
 from planish.analyze.formation import Formation, RandomSheet
 from planish.core.area import valid_in_all
-from planish.core.facts import Interval, ResultModel, Trust, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Trust, Value
 from planish.core.typing import Array, Complexes, Floats, Pair, pair_of
 from planish.texture.octave_spectra import OctaveFields, OctavePower
 
@@ -25,61 +24,90 @@ _LEAST_MODES = 4.0  # independent waves that an interval needs
 _LEAST_DEGREES = 2.0  # of freedom: less has what holds next to nothing but leaks of other waves
 
 
-class ScaleBand(ResultModel):
+class ScaleBand(DescribedModel):
     """One octave of wavelength of a map."""
 
-    low_um: float = Field(description="Shortest wave.")
-    high_um: float = Field(description="Longest wave.")
-    sd: Value = Field(description="Standard deviation in the octave, without noise.")
-    interval: Interval = optional("Its 95 % interval, of the sheet by this field.")
-    cov: Value = optional("sd over the mean, a share; None of what has no zero of its own.")
-    noise: Value = optional("Standard deviation of the noise that was taken off.")
-    modes: Value = optional("Independent waves.")
-    formation: Value = optional("cov over that of a random sheet of the stated fibres.")
-    gain: Value = optional(
-        "Change of this map for a change of the other one, with its sign, without noise."
-    )
-    gain_interval: Interval = optional("Its 95 % interval.")
-    coherence: Value = optional("Squared, corrected for chance and without noise.")
-    coherence_interval: Interval = optional("Its 95 % interval.")
-    phase_deg: Value = optional(
-        "Of this map against the other one, in waves towards larger x: 0, or 180, where one simply"
-        " follows the other."
-    )
-    phase_interval: Interval = optional("Its 95 % interval.")
+    low_um: float
+    """Shortest wave."""
+    high_um: float
+    """Longest wave."""
+    sd: Value
+    """Standard deviation in the octave, without noise."""
+    interval: Interval = NULL
+    """Its 95 % interval, of the sheet by this field."""
+    cov: Value = NULL
+    """sd over the mean, a share; None of what has no zero of its own."""
+    noise: Value = NULL
+    """Standard deviation of the noise that was taken off."""
+    modes: Value = NULL
+    """Independent waves."""
+    formation: Value = NULL
+    """cov over that of a random sheet of the stated fibres."""
+    gain: Value = NULL
+    """Change of this map for a change of the other one, with its sign, without noise."""
+    gain_interval: Interval = NULL
+    """Its 95 % interval."""
+    coherence: Value = NULL
+    """Squared, corrected for chance and without noise."""
+    coherence_interval: Interval = NULL
+    """Its 95 % interval."""
+    phase_deg: Value = NULL
+    """Of this map against the other one, in waves towards larger x: 0, or 180, where one simply
+    follows the other."""
+    phase_interval: Interval = NULL
+    """Its 95 % interval."""
 
 
-class MapScales(ResultModel):
+class MapScales(DescribedModel):
     """What the octaves are of."""
 
-    map: str = Field(description="Name of the map.")
-    layer: str = Field(default="", description="Name of the layer.")
-    title: str = Field(description="Title of the map.")
-    units: str = Field(default="1", description="Of the map.")
-    mean: Value = optional("Over the pixels that count.")
-    n: int | None = optional("Pixels that count.")
-    pixel_um: Pair | None = optional("Size of a pixel along y and x.")
-    field_um: Pair | None = optional("Size of the field along y and x.")
-    known_share: Value = optional("Share of the pixels of the grid that count.")
-    form_um: Value = optional("Nesting index of the form that a surface is above.")
-    shared: str | None = optional("What two half measurements share; None where there are none.")
-    formation: Formation | None = optional("Where the fibres are stated.")
-    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-    reason: str | None = optional("Why there are no octaves.")
+    map: str
+    """Name of the map."""
+    layer: str = ""
+    """Name of the layer."""
+    title: str
+    """Title of the map."""
+    units: str = "1"
+    """Of the map."""
+    mean: Value = NULL
+    """Over the pixels that count."""
+    n: int | None = None
+    """Pixels that count."""
+    pixel_um: Pair | None = None
+    """Size of a pixel along y and x."""
+    field_um: Pair | None = None
+    """Size of the field along y and x."""
+    known_share: Value = NULL
+    """Share of the pixels of the grid that count."""
+    form_um: Value = NULL
+    """Nesting index of the form that a surface is above."""
+    shared: str | None = None
+    """What two half measurements share; None where there are none."""
+    formation: Formation | None = None
+    """Where the fibres are stated."""
+    trust: Trust = "ok"
+    """What the checks leave of the figures."""
+    reason: str | None = None
+    """Why there are no octaves."""
 
 
-class Scales(ResultModel):
+class Scales(DescribedModel):
     """Octaves of several maps, and what these are."""
 
-    bands: dict[str, tuple[ScaleBand, ...]] = Field(
-        description="By map, from the longest waves to the shortest."
-    )
-    maps: dict[str, MapScales] = Field(description="By map, too.")
-    against: str | None = optional("Map that each one is compared with.")
-    against_title: str = Field(default="", description="Its title.")
-    against_units: str = Field(default="1", description="Its unit.")
-    against_form_um: Value = optional("Nesting index of the form that it is above.")
-    declared: bool | None = optional("Whether the study declared it; None where it declares none.")
+    bands: dict[str, tuple[ScaleBand, ...]]
+    """By map, from the longest waves to the shortest."""
+    maps: dict[str, MapScales]
+    """By map, too."""
+    against: str | None = None
+    """Map that each one is compared with."""
+    against_title: str = ""
+    """Its title."""
+    against_units: str = "1"
+    """Its unit."""
+    against_form_um: Value = NULL
+    """Nesting index of the form that it is above."""
+    declared: bool | None = None
+    """Whether the study declared it; None where it declares none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,10 +7,9 @@ stated errors of the maps follow those of the surfaces, and from these the covar
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydantic import Field
 from scipy import optimize
 
-from planish.core.facts import ResultModel, Value
+from planish.core.facts import DescribedModel, Value
 from planish.core.typing import Floats
 from planish.measure.registry import HEIGHTS, LENGTHS
 
@@ -18,13 +17,17 @@ _EVEN = 1e-6
 """Weight by which errors of surfaces that nothing tells apart are taken alike."""
 
 
-class SharedError(ResultModel):
+class SharedError(DescribedModel):
     """Two maps whose errors go together, as they meet at one surface."""
 
-    a: str = Field(description="First map.")
-    b: str = Field(description="Second map.")
-    surface: str = Field(description="Where they meet.")
-    correlation: Value = Field(description="Of their errors.")
+    a: str
+    """First map."""
+    b: str
+    """Second map."""
+    surface: str
+    """Where they meet."""
+    correlation: Value
+    """Of their errors."""
 
 
 def _signs_of_surfaces() -> dict[str, dict[str, float]]:

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 from scipy import special
 
 from planish.analyze.distributions import around, t_95
 from planish.core.errors import InputError
-from planish.core.facts import Interval, ResultModel, Unsaved, UnsavedInterval, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Unsaved, UnsavedInterval, Value
 from planish.core.typing import Floats, Texts, pair_of
 
 LEAST_SHEETS = 3
@@ -32,7 +31,7 @@ class Fields:
     values : sequence of float; one of each field; NaN is missing
     sheets : sequence of str
         The sheet of each field. Sheets of two papers need no names of their own.
-    names : sequence of str, optional
+    names : sequence of str
         The name of each field, unlike all others of its sheet: by it a field before pairs with the
         field after.
 
@@ -81,54 +80,74 @@ class Fields:
         return np.array([v.mean() for v in self.by_sheet.values()])
 
 
-class RandomEffects(ResultModel):
+class RandomEffects(DescribedModel):
     """Mean of effects that differ, each known with a variance of its own.
 
     Of r the effects are Fisher's z.
     """
 
-    effects: int = Field(description="Sheets, or fields.")
-    sd_between: Value = Field(
-        description="Standard deviation of the true z; 0 where their own scatter explains all."
-    )
-    i2: Value = Field(description="Share of the variance of z that is between them.")
-    q: Value = Field(description="Cochran's Q.")
-    p: Value = Field(description="Of the test that all are the same.")
-    mean: Unsaved = optional("With weights of 1 over the sum of both variances.")
-    standard_error: Unsaved = optional("Of the mean, from the weights.")
-    between: Unsaved = optional("Variance of the true effects.")
-    interval: UnsavedInterval = optional(
-        "95 % interval of the mean; none with fewer than 3 effects."
-    )
+    effects: int
+    """Sheets, or fields."""
+    sd_between: Value
+    """Standard deviation of the true z; 0 where their own scatter explains all."""
+    i2: Value
+    """Share of the variance of z that is between them."""
+    q: Value
+    """Cochran's Q."""
+    p: Value
+    """Of the test that all are the same."""
+    mean: Unsaved = NULL
+    """With weights of 1 over the sum of both variances."""
+    standard_error: Unsaved = NULL
+    """Of the mean, from the weights."""
+    between: Unsaved = NULL
+    """Variance of the true effects."""
+    interval: UnsavedInterval = NULL
+    """95 % interval of the mean; none with fewer than 3 effects."""
 
 
-class SheetVariances(ResultModel):
+class SheetVariances(DescribedModel):
     """How much of the variance is between sheets."""
 
-    sd_between: Value = optional("Standard deviation of sheets, beyond what fields add.")
-    sd_within: Value = optional("Standard deviation of the fields of one sheet.")
-    share: Value = optional("Share of the variance that is between sheets.")
-    share_interval: Interval = optional("95 % interval of the share.")
-    p: Value = optional("Of the test that all sheets are alike.")
-    reason: str = Field(default="", description="Why a number is missing.")
+    sd_between: Value = NULL
+    """Standard deviation of sheets, beyond what fields add."""
+    sd_within: Value = NULL
+    """Standard deviation of the fields of one sheet."""
+    share: Value = NULL
+    """Share of the variance that is between sheets."""
+    share_interval: Interval = NULL
+    """95 % interval of the share."""
+    p: Value = NULL
+    """Of the test that all sheets are alike."""
+    reason: str = ""
+    """Why a number is missing."""
 
 
-class SheetMean(ResultModel):
+class SheetMean(DescribedModel):
     """Mean of a property, or of r, over sheets."""
 
-    sheets: int = Field(description="Sheets that count.")
-    fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    left_out: Texts = Field(default=(), description="Specimens of the group that do not count.")
-    mean: Value = optional("Over the means of sheets; of r by Fisher's z.")
-    sd: Value = optional("Standard deviation of the means of sheets; none of r.")
-    interval: Interval = optional("95 % interval of the mean of such sheets.")
-    reason: str = Field(default="", description="Why there is no interval.")
-    variances: SheetVariances | None = optional("Of a property.")
-    between_sheets: RandomEffects | None = optional("Of r, over sheets.")
-    between_fields: RandomEffects | None = optional(
-        "Of r, over all fields as if each were of a sheet of its own."
-    )
-    standard_error: Unsaved = optional("Of the mean of a property.")
+    sheets: int
+    """Sheets that count."""
+    fields: int
+    """Specimens that count; each is a field of a sheet."""
+    left_out: Texts = ()
+    """Specimens of the group that do not count."""
+    mean: Value = NULL
+    """Over the means of sheets; of r by Fisher's z."""
+    sd: Value = NULL
+    """Standard deviation of the means of sheets; none of r."""
+    interval: Interval = NULL
+    """95 % interval of the mean of such sheets."""
+    reason: str = ""
+    """Why there is no interval."""
+    variances: SheetVariances | None = None
+    """Of a property."""
+    between_sheets: RandomEffects | None = None
+    """Of r, over sheets."""
+    between_fields: RandomEffects | None = None
+    """Of r, over all fields as if each were of a sheet of its own."""
+    standard_error: Unsaved = NULL
+    """Of the mean of a property."""
 
 
 def over_sheets(fields: Fields) -> SheetMean:

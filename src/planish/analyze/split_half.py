@@ -10,7 +10,6 @@ which cross from column to column, neighbouring rows would share their noise.
 import math
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import correlate
@@ -18,25 +17,33 @@ from planish.analyze.sheet_columns import SheetColumns
 from planish.core.area import area_mean, square_px
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.typing import Array, Bools, Floats, Ints, Pair, Pixel, pair_of
 
 
-class Reliability(ResultModel):
+class Reliability(DescribedModel):
     """Share of a map's variance that a second measurement would show again, at one point size."""
 
-    layer: str = Field(default="", description="Name of the layer.")
-    map: str = Field(default="", description="Name of the map.")
-    point_um: float = Field(description="Edge of a point.")
-    n: int | None = optional("Points that are known in both halves.")
-    halves_r: Value = optional("Correlation of both halves.")
-    value: Value = optional(
-        "Share of the variance of the map that both halves show: an upper bound."
-    )
-    interval: Interval = optional("Its 95 % interval.")
-    n_eff: Value = optional("Independent points.")
-    shared: str | None = optional("What both halves share, which makes it an upper bound.")
-    reason: str | None = optional("Why there is none.")
+    layer: str = ""
+    """Name of the layer."""
+    map: str = ""
+    """Name of the map."""
+    point_um: float
+    """Edge of a point."""
+    n: int | None = None
+    """Points that are known in both halves."""
+    halves_r: Value = NULL
+    """Correlation of both halves."""
+    value: Value = NULL
+    """Share of the variance of the map that both halves show: an upper bound."""
+    interval: Interval = NULL
+    """Its 95 % interval."""
+    n_eff: Value = NULL
+    """Independent points."""
+    shared: str | None = None
+    """What both halves share, which makes it an upper bound."""
+    reason: str | None = None
+    """Why there is none."""
 
 
 def split_reliability(

@@ -4,27 +4,31 @@ import math
 from contextlib import suppress
 
 import numpy as np
-from pydantic import Field
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid_pixels
 from planish.analyze.distributions import around, t_95
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Interval, Value
 from planish.core.typing import Array, Bools, Entries, Pixel
 from planish.texture.covariance import Lags, scatter_of
 
 THIN_UM = (2.0, 5.0, 10.0)
 
 
-class RegionDifference(ResultModel):
+class RegionDifference(DescribedModel):
     """Mean of a map inside of regions minus that outside."""
 
-    thinner_than_um: Value = optional("Limit of the coating's thickness.")
-    share: float = Field(description="Share of the pixels where it is thinner.")
-    difference: float = Field(description="Mean of the image there less that elsewhere.")
-    interval: Interval = Field(description="95 % interval of the difference.")
-    n_eff: Value = Field(description="Independent points of the thin regions.")
+    thinner_than_um: Value = NULL
+    """Limit of the coating's thickness."""
+    share: float
+    """Share of the pixels where it is thinner."""
+    difference: float
+    """Mean of the image there less that elsewhere."""
+    interval: Interval
+    """95 % interval of the difference."""
+    n_eff: Value
+    """Independent points of the thin regions."""
 
 
 def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> RegionDifference:

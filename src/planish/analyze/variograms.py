@@ -7,13 +7,12 @@ import math
 from operator import itemgetter
 
 import numpy as np
-from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.compared_maps import ComparedMaps
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import ResultModel, Value, optional
+from planish.core.facts import NULL, DescribedModel, Value
 from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel
 from planish.texture.covariance import Lags
@@ -21,32 +20,39 @@ from planish.texture.covariance import Lags
 _LEAST_RINGS = 4  # for a model of three numbers
 
 
-class Variogram(ResultModel):
+class Variogram(DescribedModel):
     """How a map varies with distance.
 
     Half of the mean square difference of two points of it, by their distance.
     """
 
-    layer: str = Field(default="", description="Name of the layer.")
-    map: str = Field(default="", description="Name of the map.")
-    units: str = Field(default="1", description="Of the values.")
-    cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
-    nugget: float = Field(
-        description="Variance that neighbouring cells do not share, in the map's units squared."
-    )
-    sill: float = Field(description="Variance of the map.")
-    range_um: Value = Field(
-        description=(
-            "Distance at which the covariance has fallen to 1/e; none where it does not, or all is"
-            " nugget."
-        )
-    )
-    md_deg: Value = optional("Machine direction on the reference, where the run knows it.")
-    range_along_um: Value = optional("The range within 22.5 degrees of the machine direction.")
-    range_across_um: Value = optional("The same across it.")
-    ratio: Value = optional("Range along over range across.")
-    distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
-    values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
+    layer: str = ""
+    """Name of the layer."""
+    map: str = ""
+    """Name of the map."""
+    units: str = "1"
+    """Of the values."""
+    cell_um: Pair
+    """What the map was averaged over first, along y and x."""
+    nugget: float
+    """Variance that neighbouring cells do not share, in the map's units squared."""
+    sill: float
+    """Variance of the map."""
+    range_um: Value
+    """Distance at which the covariance has fallen to 1/e; none where it does not, or all is
+    nugget."""
+    md_deg: Value = NULL
+    """Machine direction on the reference, where the run knows it."""
+    range_along_um: Value = NULL
+    """The range within 22.5 degrees of the machine direction."""
+    range_across_um: Value = NULL
+    """The same across it."""
+    ratio: Value = NULL
+    """Range along over range across."""
+    distances_um: tuple[float, ...]
+    """Middle of each class of distances."""
+    values: tuple[float, ...]
+    """At each distance, in the map's units squared."""
 
 
 def variogram(a: Array, *, pixel_um: Pixel, md_deg: float | None = None) -> Variogram:

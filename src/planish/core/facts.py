@@ -165,7 +165,8 @@ def _texts_below_fields(model: type) -> dict[str, str]:
         if not (isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr)):
             continue
         if isinstance(below.value, ast.Constant):
-            texts[ast.unparse(field.target)] = inspect.cleandoc(str(below.value.value))
+            words = str(below.value.value).split()  # a text of several lines is one sentence
+            texts[ast.unparse(field.target)] = " ".join(words)
     return texts
 
 
