@@ -29,7 +29,11 @@ class Lags:
     """
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
-        """Count the pairs of known points at every lag, and sort lags into rings of distance."""
+        """Count the pairs of known points at every lag, and sort lags into rings of distance.
+
+        Arrays over lags are wrapped: from 0 up, then the negative ones. ``inside`` holds where a
+        lag is within half of the field, and ``pairs`` is 0 elsewhere.
+        """
         self.is_valid = is_valid
         self.pixel_um = pixel_um
         self.n = int(np.count_nonzero(is_valid))
@@ -38,13 +42,17 @@ class Lags:
         self.lag_um = wrapped_lags_um(self._size, pixel_um)
         down_um, across_um = self.lag_um
         down_reach_um, across_reach_um = np.multiply(reach, pixel_um)
-        is_near = (np.abs(down_um) <= down_reach_um, np.abs(across_um) <= across_reach_um)
-        self.inside = np.logical_and.outer(*is_near)
+        is_near_down = np.abs(down_um) <= down_reach_um
+        is_near_across = np.abs(across_um) <= across_reach_um
+        self.inside = np.logical_and.outer(is_near_down, is_near_across)
         self.distance_um = np.hypot(down_um[:, None], across_um)
-        # Rings one pixel wide; the numbers of pairs are whole.
-        self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
+        # Rings one pixel wide.
+        ring = np.rint(self.distance_um / max(pixel_um))
+        self._ring = ring.astype(np.intp)
         self._mask = self.transform(is_valid.astype(np.float64))
-        self.pairs = np.rint(self._back(np.abs(self._mask) ** 2)) * self.inside
+        mask_products = self._back(np.abs(self._mask) ** 2)
+        # They are whole but for rounding.
+        self.pairs = np.rint(mask_products) * self.inside
 
     def transform(self, values: Floats) -> Complexes:
         """Fourier transform of a map that is 0 where it is not known."""
@@ -64,20 +72,24 @@ class Lags:
 
         The mean is over all directions.
         """
-        rings = np.bincount(self._ring[self.inside], weights=products[self.inside])
-        turned = np.flatnonzero(rings <= 0.0 if rings[0] >= 0 else rings >= 0.0)
-        return self.inside & (self._ring < turned[0]) if turned.size else self.inside
+        ring_sums = np.bincount(self._ring[self.inside], products[self.inside])
+        is_turned = ring_sums <= 0.0 if ring_sums[0] >= 0 else ring_sums >= 0.0
+        turned = np.flatnonzero(is_turned)
+        if not turned.size:
+            return self.inside
+        return self.inside & (self._ring < turned[0])
 
     def covariance(self, products: Floats, used: Bools) -> Floats:
         """Covariance at the lags that are used, 0 at others.
 
-        Taking off a map's own mean takes that mean's variance off every covariance; those used put
-        it back.
+        Taking off a map's own mean takes that mean's variance off every covariance. It is put back:
+        the variance of the mean that the covariances used have themselves.
         """
         pairs = np.where(used, self.pairs, 0.0)
         rest = self.n**2 - pairs.sum()
-        mean = products[used].sum() / rest if rest > 0 else 0.0
-        return np.where(pairs > 0, products / np.maximum(pairs, 1.0) + mean, 0.0)
+        variance_of_mean = products[used].sum() / rest if rest > 0 else 0.0
+        covariance = products / np.maximum(pairs, 1.0) + variance_of_mean
+        return np.where(pairs > 0, covariance, 0.0)
 
     def variance_of_mean(self, covariance: Floats) -> float:
         """Variance of the mean of values with this covariance over the known points."""
@@ -89,11 +101,12 @@ class Lags:
         It has the shape of the mask, and is 0 outside of it.
         """
         rows, cols = self.is_valid.shape
-        covariance_sums = self._back(np.asarray(fft.rfft2(covariance)) * self._mask)[:rows, :cols]
+        spectrum = fft.rfft2(covariance) * self._mask
+        covariance_sums = self._back(spectrum)[:rows, :cols]
         return np.where(self.is_valid, covariance_sums, 0.0)
 
-    def _back(self, values: Complexes) -> Floats:
-        return np.asarray(fft.irfft2(values, self._size))
+    def _back(self, spectrum: Complexes) -> Floats:
+        return fft.irfft2(spectrum, self._size)
 
 
 def covariance_of(values: Array, lags: Lags) -> Floats:
@@ -129,28 +142,39 @@ class PairCovariances:
         self.lags = lags
         self._maps = [centred(m, lags.is_valid) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
-        products = (lags.products(a, a), lags.products(b, b), lags.products(a, b))
-        used_x, used_y = (lags.until_zero(p) for p in products[:2])
-        self.xx = lags.covariance(products[0], used_x)
-        self.yy = lags.covariance(products[1], used_y)
+        products_x = lags.products(a, a)
+        products_y = lags.products(b, b)
+        used_x = lags.until_zero(products_x)
+        used_y = lags.until_zero(products_y)
+        self.xx = lags.covariance(products_x, used_x)
+        self.yy = lags.covariance(products_y, used_y)
         # For the interval all are cut alike: where r is large they nearly cancel each other.
+        products = (products_x, products_y, lags.products(a, b))
         self._together = [lags.covariance(p, used_x | used_y) for p in products]
-        self.variances = (products[0][0, 0] / lags.n, products[1][0, 0] / lags.n)
+        # Of single points: the mean product at lag 0, as it is and with the variance of the mean.
+        variance_x = products_x[0, 0] / lags.n
+        variance_y = products_y[0, 0] / lags.n
+        self.variances = (variance_x, variance_y)
         # What the covariances have got back of the variance of the mean.
-        self._put_back = np.array([self.xx[0, 0], self.yy[0, 0]]) - self.variances
+        self._put_back = (self.xx[0, 0] - variance_x, self.yy[0, 0] - variance_y)
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of unrelated maps (Dutilleul 1993).
 
+        It is the trace of the product of both matrices of covariance, each with rows and columns
+        centred, over the product of their traces. NaN where that is not positive.
+
         ``variances``: of single points, where maps are means.
         """
         n = self.lags.n
-        rows = np.stack([self.lags.sums(covariance) for covariance in (self.xx, self.yy)])
-        sums = rows.sum(axis=(1, 2))
+        # Sums over a row of each matrix: each point's covariances with all.
+        rows_x = self.lags.sums(self.xx)
+        rows_y = self.lags.sums(self.yy)
+        sums = (rows_x.sum(), rows_y.sum())
         trace = np.sum(self.lags.pairs * self.xx * self.yy)
-        trace -= 2.0 / n * np.sum(rows[0] * rows[1])
+        trace -= 2.0 / n * np.sum(rows_x * rows_y)
         trace += math.prod(sums) / n**2
-        product = math.prod(n * self._whole(variances) - sums / n)
+        product = math.prod(n * self._whole(variances) - np.divide(sums, n))
         return float(trace / product) if product > 0 else math.nan
 
     def _whole(self, variances: Pair | None) -> Floats:
@@ -170,7 +194,8 @@ class PairCovariances:
 
         The maps have these covariances.
         """
-        return float(self._influence(r, variances).sum() / self.lags.n**2)
+        influence = self._influence(r, variances)
+        return float(influence.sum() / self.lags.n**2)
 
     def spatial_error(self, r: float) -> Pair:
         """Standard error of z from what the points add to r, and the same over that of the model.
@@ -178,17 +203,21 @@ class PairCovariances:
         Both are sums over lags up to ``BANDWIDTH`` with weights that fall to 0 (Conley 1999), so
         that what longer lags would add, and what the mean of a map takes off, are the same in both.
         """
-        bandwidth_um = BANDWIDTH * shorter_side_um(self.lags.is_valid.shape, self.lags.pixel_um)
-        x, y = (standard(m, self.lags.is_valid) for m in self._maps)
-        influence_hat = self.lags.transform(influence_on_r(x, y, r))
-        weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
+        lags = self.lags
+        bandwidth_um = BANDWIDTH * shorter_side_um(lags.is_valid.shape, lags.pixel_um)
+        x, y = (standard(m, lags.is_valid) for m in self._maps)
+        influence_hat = lags.transform(influence_on_r(x, y, r))
+        weight = np.maximum(1.0 - lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
-        mean_weight = np.sum(weight * self.lags.pairs) / self.lags.n**2
+        # What the points add to r sums to 0: every pair has lost the same part of the model's sum.
+        mean_weight = np.sum(weight * lags.pairs) / lags.n**2
         model_variance = np.sum(weight * model) - model.sum() * mean_weight
-        observed = np.sum(weight * self.lags.products(influence_hat, influence_hat))
-        error = math.sqrt(max(observed / (1 - r * r) ** 2, 0.0))
+        observed = np.sum(weight * lags.products(influence_hat, influence_hat))
+        # From r to z: dz = dr / (1 - r^2).
+        observed_variance = observed / (1 - r * r) ** 2
+        error = math.sqrt(max(observed_variance, 0.0))
         ratio = error / math.sqrt(model_variance) if model_variance > 0 else 1.0
-        return error / self.lags.n, ratio
+        return error / lags.n, ratio
 
     def unevenness(self, r: float) -> float:
         """How much larger the first of these errors is than the second; not below 1."""
@@ -197,13 +226,16 @@ class PairCovariances:
         return max(self.spatial_error(r)[1], 1.0)
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
+        """Bartlett's terms of the variance of z at every lag, times the pairs there."""
         variance_x, variance_y = self._whole(variances)
-        xx = self._together[0] / variance_x
-        yy = self._together[1] / variance_y
-        xy = self._together[2] / math.sqrt(variance_x * variance_y)
+        cov_xx, cov_yy, cov_xy = self._together
+        xx = cov_xx / variance_x
+        yy = cov_yy / variance_y
+        xy = cov_xy / math.sqrt(variance_x * variance_y)
         yx = _reversed(xy)
         squares = xx**2 + yy**2 + xy**2 + yx**2
-        terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * squares
+        products = xx * yy + xy * yx
+        terms = products - r * (xx + yy) * (xy + yx) + r * r / 2 * squares
         return self.lags.pairs * terms / (1 - r * r) ** 2
 
 
@@ -221,19 +253,24 @@ def variance_of_products(
     covariances: dict[Shape2D, Floats] = {}
     for i, j in combinations_with_replacement(range(len(maps)), 2):
         products = lags.products(spectra[i], spectra[j])
+        # Lags in opposite directions, which differ for two maps, are cut alike.
         used = lags.until_zero(products + _reversed(products))
         covariances[i, j] = lags.covariance(products, used)
         covariances[j, i] = _reversed(covariances[i, j])
-    sd = [math.sqrt(covariances[i, i][0, 0]) for i in range(len(maps))]
+    # A covariance that got its mean's variance back is not quite 1 at lag 0.
+    variances = [covariances[i, i][0, 0] for i in range(len(maps))]
+    sd = np.sqrt(variances)
     total = np.zeros_like(lags.pairs)
     for (i, j, v), (k, m, w) in product(terms, repeat=2):
         # Isserlis: of Gaussian maps the covariance of products is one of pairs.
-        pairs = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
-        weight = v * w / (sd[i] * sd[j] * sd[k] * sd[m])
+        pairs = covariances[i, k] * covariances[j, m]
+        pairs += covariances[i, m] * covariances[j, k]
+        weight = v * w / np.prod(sd[[i, j, k, m]])
         total += weight * pairs
     return lags.variance_of_mean(total)
 
 
 def _reversed(values: Floats) -> Floats:
     """Turn an array over wrapped lags: the value at minus each lag."""
-    return np.roll(values[::-1, ::-1], (1, 1), (0, 1))
+    # Turned round, lag 0 is last; it goes to the front again.
+    return np.roll(np.flip(values), (1, 1), (0, 1))

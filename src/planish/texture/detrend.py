@@ -22,7 +22,8 @@ from planish.texture.textures import centred, sigma_px
 def without_trend(values: Floats, is_valid: Bools) -> Floats:
     """Take the plane and second-order surface of least squares off a map (rows, cols).
 
-    0 where it is not known.
+    0 where it is not known. The normal equations are summed along rows first, as the terms are
+    products of a polynomial of the row and one of the column.
 
     Examples
     --------
@@ -31,35 +32,38 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
     >>> float(np.abs(rest).max().round(9))
     0.0
     """
-    # Products of one polynomial along the rows and one along the columns: no term is ever as large
-    # as the map.
+    # Legendre polynomials of order 0 to 2 of each row and of each column, (n, 3): no term is ever
+    # as large as the map.
     axes = (np.linspace(-1.0, 1.0, n) for n in is_valid.shape)
     rows, cols = (np.polynomial.legendre.legvander(axis, 2) for axis in axes)
     inside = centred(values, is_valid)
     weights = is_valid.astype(np.float64)
-    products = (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)
+    products = np.einsum("cj,cl->cjl", cols, cols).reshape(-1, 9)
     by_row = (weights @ products).reshape(-1, 3, 3)
     moments = np.einsum("rjl,ri,rk->ijkl", by_row, rows, rows)
     sums = rows.T @ inside @ cols
-    i, j = np.nonzero(np.add.outer(range(3), range(3)) < 3)
+    # Orders along rows and columns of the terms, which together are 2 or less.
+    i, j = np.nonzero(np.tri(3)[::-1])
     matrix = moments[i[:, None], j[:, None], i, j]
+    coefficients = np.linalg.lstsq(matrix, sums[i, j], rcond=None)[0]
     surface = np.zeros((3, 3))
-    surface[i, j] = np.linalg.lstsq(matrix, sums[i, j], rcond=None)[0]
+    surface[i, j] = coefficients
     return np.where(is_valid, inside - rows @ surface @ cols.T, 0.0)
 
 
 def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
-    """Say what trends over the field hold of two maps.
+    """Say what trends over the field hold of two maps (rows, cols).
 
-    Empty where it is less than a quarter of either.
+    Empty where it is less than a quarter of the variance of either.
     """
-    a, b = (without_trend(m, is_valid)[is_valid] for m in (x, y))
-    share_x = 1.0 - a.var() / x[is_valid].var()
-    share_y = 1.0 - b.var() / y[is_valid].var()
+    rest_x = without_trend(x, is_valid)[is_valid]
+    rest_y = without_trend(y, is_valid)[is_valid]
+    share_x = 1.0 - rest_x.var() / x[is_valid].var()
+    share_y = 1.0 - rest_y.var() / y[is_valid].var()
     if min(share_x, share_y) < 0.25:
         return ""
-    spread = a.std() * b.std()
-    r = np.mean(a * b) / spread if spread > 0 else math.nan
+    spread = rest_x.std() * rest_y.std()
+    r = np.mean(rest_x * rest_y) / spread if spread > 0 else math.nan
     return (
         f"Trends over the whole field hold {100 * share_x:.0f} % of the variance of the first map"
         f" and {100 * share_y:.0f} % of that of the second; without them r is {r:.2f}."
@@ -78,9 +82,9 @@ class PhaseSurrogate:
     def __init__(self, values: Floats, valid: Bools) -> None:
         mean = values[valid].mean() if valid.any() else 0.0
         # The jump at the borders would whiten the spectrum, and make the null too narrow.
-        taper = np.multiply.outer(*(_tapered(n) for n in values.shape))
+        taper = np.multiply.outer(*map(_tapered, values.shape))
         tapered = np.where(valid, values - mean, 0.0) * taper
-        self.amplitude = np.abs(np.asarray(fft.rfft2(tapered)))
+        self.amplitude = np.abs(fft.rfft2(tapered))
         self._shape = values.shape
         self._plane = Plane(valid)
 
@@ -91,16 +95,21 @@ class PhaseSurrogate:
         """
         for _ in range(n_draws):
             # The spectrum of white noise has the symmetry of a real map's.
-            phase = np.asarray(fft.rfft2(rng.standard_normal(self._shape)))
-            phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
-            surrogate = np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64)
+            noise = rng.standard_normal(self._shape)
+            spectrum = fft.rfft2(noise)
+            spectrum *= self.amplitude / np.maximum(np.abs(spectrum), 1e-300)
+            surrogate = fft.irfft2(spectrum, self._shape)
             yield self._plane.taken_off(surrogate)
 
 
 def _tapered(n: int) -> Floats:
-    """Tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import."""
+    """Tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import.
+
+    It rises over a fifth of the length at both ends.
+    """
     place = np.arange(n)
-    depth = np.minimum(place, place[::-1]) * 2 / (0.4 * max(n - 1, 1))
+    to_border = np.minimum(place, place[::-1])
+    depth = to_border * 2 / (0.4 * max(n - 1, 1))
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0))
 
 
@@ -108,8 +117,9 @@ class Plane:
     """The plane of least squares through the known pixels of maps with one mask (rows, cols)."""
 
     def __init__(self, valid: Bools) -> None:
+        """Solve for its slopes once; the places of rows and columns are those from their mean."""
         self._valid = valid
-        n = max(int(np.count_nonzero(valid)), 1)
+        n = max(np.count_nonzero(valid), 1)
         by_row = valid.sum(axis=1)
         by_col = valid.sum(axis=0)
         rows, cols = (np.arange(k, dtype=np.float64) for k in valid.shape)
@@ -119,7 +129,8 @@ class Plane:
         rows_rows = by_row @ self._rows**2
         cols_cols = by_col @ self._cols**2
         # On one line of pixels only the slope along it is known.
-        self._solve = np.linalg.pinv([[rows_rows, rows_cols], [rows_cols, cols_cols]])
+        moments = [[rows_rows, rows_cols], [rows_cols, cols_cols]]
+        self._solve = np.linalg.pinv(moments)
         self._n = n
 
     def taken_off(self, values: Floats) -> Floats:
@@ -127,8 +138,9 @@ class Plane:
         if self._n < 3:
             return np.zeros(values.shape)
         level = centred(values, self._valid)
-        products = (self._rows @ level.sum(axis=1), self._cols @ level.sum(axis=0))
-        down, across = self._solve @ products
+        product_down = self._rows @ level.sum(axis=1)
+        product_across = self._cols @ level.sum(axis=0)
+        down, across = self._solve @ (product_down, product_across)
         plane = np.add.outer(down * self._rows, across * self._cols)
         return np.where(self._valid, level - plane, 0.0)
 
@@ -144,13 +156,20 @@ def in_band(
     pixel_um : (float, float), along rows' axis (y) and columns' axis (x)
     band_um : (float or None, float or None)
         None leaves that side open. The filters are Gaussian; missing pixels have no weight in them.
+
+    Returns
+    -------
+    ndarray, shape (rows, cols)
+        0 where not valid.
     """
-    short, long = band_um
+    short_um, long_um = band_um
     out = np.where(valid, values, 0.0)
-    if short is not None:
-        out = np.where(valid, _low_pass(out, valid, pixel_um, short), 0.0)
-    if long is not None:
-        out = np.where(valid, out - _low_pass(out, valid, pixel_um, long), 0.0)
+    if short_um is not None:
+        smooth = _low_pass(out, valid, pixel_um, short_um)
+        out = np.where(valid, smooth, 0.0)
+    if long_um is not None:
+        slow = _low_pass(out, valid, pixel_um, long_um)
+        out = np.where(valid, out - slow, 0.0)
     return out
 
 
@@ -173,19 +192,21 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     """
     reach = quarter_of(values.shape)
     r = MaskedNcc(values, a_valid=valid, b_valid=valid, reach=reach)(values)
-    y, x = (np.arange(-n, n + 1) * p for n, p in zip(reach, pixel_um, strict=True))
-    distance = np.hypot(y[:, None], x[None, :])
-    step = max(pixel_um)
-    limit = shorter_side_um(reach, pixel_um)
-    is_used = (distance <= limit) & np.isfinite(r)
-    rings = np.rint(distance[is_used] / step).astype(np.int64)
-    count = np.bincount(rings)
-    mean = np.bincount(rings, weights=r[is_used]) / np.maximum(count, 1)
-    below = np.flatnonzero((mean < np.exp(-1.0)) & (count > 0))
-    if not below.size:
+    down, across = (np.arange(-n, n + 1) for n in reach)
+    row_um, col_um = pixel_um
+    distance_um = np.hypot(down[:, None] * row_um, across * col_um)
+    ring_um = max(pixel_um)
+    is_used = (distance_um <= shorter_side_um(reach, pixel_um)) & np.isfinite(r)
+    rings = np.rint(distance_um[is_used] / ring_um).astype(np.int64)
+    counts = np.bincount(rings)
+    mean_r = np.bincount(rings, weights=r[is_used]) / np.maximum(counts, 1)
+    is_below = (mean_r < np.exp(-1.0)) & (counts > 0)
+    if not is_below.any():
         return math.inf
-    if below[0] == 0:
-        return step
-    last = below[0] - 1
-    part = (mean[last] - np.exp(-1.0)) / (mean[last] - mean[last + 1])
-    return float(step * (last + part))
+    first_below = int(np.argmax(is_below))
+    if first_below == 0:
+        return ring_um
+    # On the line from the ring before.
+    last = first_below - 1
+    part = (mean_r[last] - np.exp(-1.0)) / (mean_r[last] - mean_r[first_below])
+    return float(ring_um * (last + part))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,21 +67,24 @@ class LagField:
         tiles.
         """
         use = self.distinct
-        if int(use.sum()) < 6:
+        if use.sum() < 6:
             return None
         centres = self.at_um[use]
         variances = np.trace(self.covariance_um2[use], axis1=1, axis2=2)
         weight = 1.0 / np.sqrt(variances)[:, None]
         lag = self.lag_um[use] * weight
         from_middle = centres - centres.mean(axis=0)
-        design = weight * np.column_stack([np.ones(len(centres)), from_middle])
+        # A constant and a slope with either place, for both lags.
+        terms = np.column_stack([np.ones(len(centres)), from_middle])
+        design = weight * terms
         if np.linalg.matrix_rank(design) < 3:
             return None
         coefficients = np.linalg.lstsq(design, lag, rcond=None)[0]
         residuals = lag - design @ coefficients
-        variance = (residuals**2).sum(axis=0) / (len(centres) - 3)
-        spread = np.diag(np.linalg.inv(design.T @ design))[1:]
-        return coefficients[0], coefficients[1:].T, np.sqrt(4.0 * np.outer(variance, spread))
+        variance = np.square(residuals).sum(axis=0) / (len(centres) - 3)
+        spread = np.linalg.inv(design.T @ design).diagonal()[1:]
+        errors = np.sqrt(4.0 * np.outer(variance, spread))
+        return coefficients[0], coefficients[1:].T, errors
 
 
 def _place_of(
@@ -89,11 +93,13 @@ def _place_of(
     """Lag and its covariance in pixels, along x and y; NaN where there is no summit."""
     if peak is None or not peak.inner:
         return np.full(2, np.nan), np.full((2, 2), np.nan)
-    covariance = covariance_of(peak, a, b, a_valid, b_valid) + lost_between_pixels(peak)
-    return peak.summit_px[::-1], covariance[::-1, ::-1]
+    covariance = covariance_of(peak, a, b, a_valid, b_valid)
+    covariance += lost_between_pixels(peak)
+    # From rows and columns to x and y.
+    return np.flip(peak.summit_px), np.flip(covariance)
 
 
-def _z(r: ArrayLike, share: ArrayLike) -> Floats:
+def _z(r: ArrayLike, share: ArrayLike) -> Any:
     """Fisher's z of tiles, each put to that of one which is known throughout."""
     return np.arctanh(np.minimum(r, 0.999999)) * np.sqrt(share)
 
@@ -113,59 +119,60 @@ def lag_field(
 
     Tiles overlap by half, or not at all.
 
-    The maps are without trend, 0 where not valid. The null are the peaks of the unrelated maps, of
-    b's texture, in all tiles, each put to the tile's size. Tiles no larger than twice the reach, or
-    larger than the map, are refused.
+    The maps (rows, cols) are without trend, 0 where not valid; ``reach`` is in pixels along rows
+    and columns. A lag is the place in b less that in a. The null are the peaks of the unrelated
+    maps, of b's texture, in all tiles, each put to the tile's size. Tiles no larger than twice the
+    reach, or larger than the map, are refused.
     """
-    side_px = [round(tile_um / p) for p in pixel_um]
-    allowed = within(reach)
-    wide = (reach[0] + MARGIN, reach[1] + MARGIN)
-    rows, cols = side_px
+    rows, cols = side_px = [round(tile_um / p) for p in pixel_um]
+    wide_rows, wide_cols = wide = (reach[0] + MARGIN, reach[1] + MARGIN)
     is_small = np.less_equal(side_px, np.multiply(2, wide)).any()
     if is_small or np.greater(side_px, a.shape).any():
+        least_um = 2 * np.multiply(wide, pixel_um).max()
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
-            f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.3g} um, or a"
-            " shorter reach."
+            f" sides above {least_um:.3g} um, or a shorter reach."
         )
-    step = np.array([pixel_um[1], pixel_um[0]])
+    allowed = within(reach)
+    pixel_xy_um = np.flip(pixel_um)
     tiles: list[tuple[Floats, Floats, Floats, float, float]] = []
     null_z: list[float] = []
-    starts = (
-        range(0, n - side + 1, max(side // (1 + overlapping), 1))
-        for n, side in zip(a.shape, side_px, strict=True)
-    )
-    for row, col in product(*starts):
-        # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
-        around_rows = slice(max(row - wide[0], 0), row + rows + wide[0])
-        around_cols = slice(max(col - wide[1], 0), col + cols + wide[1])
-        around = (around_rows, around_cols)
+    step_rows, step_cols = (max(side // (1 + overlapping), 1) for side in side_px)
+    first_rows = range(0, a.shape[0] - rows + 1, step_rows)
+    first_cols = range(0, a.shape[1] - cols + 1, step_cols)
+    for row, col in product(first_rows, first_cols):
         tile = np.s_[row : row + rows, col : col + cols]
-        is_in_tile = np.zeros(a.shape, dtype=bool)
-        is_in_tile[tile] = is_valid[tile]
         share = is_valid[tile].mean()
         if share < 0.5:
             continue
-        masks = (is_in_tile[around], is_valid[around])
-        correlate = MaskedNcc(a[around], a_valid=masks[0], b_valid=masks[1], reach=wide)
+        # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
+        top = max(row - wide_rows, 0)
+        left = max(col - wide_cols, 0)
+        around = np.s_[top : row + rows + wide_rows, left : col + cols + wide_cols]
+        is_in_tile = np.zeros_like(is_valid)
+        is_in_tile[tile] = is_valid[tile]
+        a_valid, b_valid = is_in_tile[around], is_valid[around]
+        correlate = MaskedNcc(a[around], a_valid=a_valid, b_valid=b_valid, reach=wide)
         peak = find_peak(correlate(b[around]), allowed)
         for values in unrelated:
-            r = np.nanmax(correlate(values[around])[allowed], initial=0.0)
-            null_z.append(float(_z(r, share)))
-        centre_um = np.array([col + (cols - 1) / 2, row + (rows - 1) / 2]) * step
-        lag, covariance = _place_of(peak, a[around], b[around], *masks)
-        covariance_um2 = covariance * np.outer(step, step)
+            null_r = correlate(values[around])[allowed]
+            null_z.append(_z(np.nanmax(null_r, initial=0.0), share))
+        centre_px = np.array([col + (cols - 1) / 2, row + (rows - 1) / 2])
+        lag_px, covariance_px2 = _place_of(peak, a[around], b[around], a_valid, b_valid)
+        covariance_um2 = covariance_px2 * np.outer(pixel_xy_um, pixel_xy_um)
         r = np.nan if peak is None else peak.r
-        tiles.append((centre_um, lag * step, covariance_um2, r, share))
+        tiles.append((centre_px * pixel_xy_um, lag_px * pixel_xy_um, covariance_um2, r, share))
     table = np.array(tiles, dtype=_TILE)
     limit = np.quantile(null_z, 0.99, method="higher") if null_z else np.inf
     height = _z(np.abs(table["r"]), table["share"])
     distinct = np.isfinite(table["lag"][:, 0]) & (height > limit)
+    table["lag"][~distinct] = np.nan
+    table["covariance"][~distinct] = np.nan
     return LagField(
         at_um=table["centre"],
-        lag_um=np.where(distinct[:, None], table["lag"], np.nan),
+        lag_um=table["lag"],
+        covariance_um2=table["covariance"],
         r=table["r"],
         distinct=distinct,
         tile_um=tile_um,
-        covariance_um2=np.where(distinct[:, None, None], table["covariance"], np.nan),
     )

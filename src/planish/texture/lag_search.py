@@ -8,10 +8,12 @@ import math
 import numpy as np
 from scipy import fft, optimize, special
 
-from planish.core.typing import Bools, Complexes, Floats, Pair, Shape2D
+from planish.core.typing import Array, Bools, Complexes, Floats, Pair, Shape2D
 from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 from planish.texture.textures import centred, tile_sums
+
+_BOTH_AXES = ((1, 2), (1, 2))  # rows and columns of two stacks of maps, to sum over
 
 
 class LagSearch:
@@ -20,26 +22,36 @@ class LagSearch:
     All maps are standardised.
 
     ``share`` (2 n + 1, 2 m + 1) is R² at each lag, NaN where few pairs are left; ``height`` the
-    same, less where pairs are fewer, as it is compared with chance.
+    same, less where pairs are fewer, as it is compared with chance. At the lag l, ``y[p + l]`` is
+    explained by ``x[p]``; lag 0 is in the middle.
     """
 
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: Shape2D) -> None:
-        """Correlate all maps at all lags, and solve the regressions."""
-        self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
+        """Correlate all maps at all lags, and solve the regressions.
+
+        The products of the maps x with each other are those of the whole field at each lag.
+        """
+        self._x = x
+        self._y = y
+        self._is_valid = is_valid
+        self._wide = wide
         self._size = padded_shape(y.shape, wide)
         mask = padded_spectrum(is_valid.astype(np.float64), self._size)
         self._y_hat = padded_spectrum(y, self._size)
         self._x_hat = np.stack([padded_spectrum(m, self._size) for m in x])
         pairs = np.rint(self._lags(np.abs(mask) ** 2))
         enough = pairs >= LEAST_PAIRS * pairs.max()
+        # Mean products of each x with y, (k, 2 n + 1, 2 m + 1), and of the x with each other.
         products = [self._lags(np.conj(m) * self._y_hat) for m in self._x_hat]
-        self._g = np.stack(products) / np.maximum(pairs, 1.0)
-        n = int(np.count_nonzero(is_valid))
-        self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
-        self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
-        share = np.einsum("iyx,ij,jyx->yx", self._g, self._inverse, self._g)
+        self._mean_products = np.stack(products) / np.maximum(pairs, 1.0)
+        n = np.count_nonzero(is_valid)
+        self._inner = np.tensordot(x, x, _BOTH_AXES) / n
+        self._inverse = _inverse_of(self._inner)
+        g = self._mean_products
+        share = np.einsum("iyx,ij,jyx->yx", g, self._inverse, g)
         self.share: Floats = np.where(enough, share, np.nan)
-        self.height: Floats = np.where(enough, share * pairs / max(n, 1), 0.0)
+        height = share * pairs / max(n, 1)
+        self.height: Floats = np.where(enough, height, 0.0)
 
     def weights(self, lag_px: Shape2D) -> Floats:
         """Weights of the maps at a lag, (k,)."""
@@ -48,11 +60,14 @@ class LagSearch:
     def share_of(self, subset: slice, lag_px: Shape2D) -> float:
         """R² at a lag with some of the maps only."""
         g = self._products_at(lag_px)[subset]
-        inverse = np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True)
+        inverse = _inverse_of(self._inner[subset, subset])
         return float(g @ inverse @ g)
 
     def limit(self, reach: Shape2D) -> float:
-        """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
+        """Height that unrelated textures exceed within reach in 1 of 1000 cases.
+
+        ``reach`` are the half axes of the ellipse of lags, in pixels. Infinite without any texture.
+        """
         # Independent combinations of the maps, each of spread 1.
         values, vectors = np.linalg.eigh(self._inner)
         use = values > 1e-6 * values[-1]
@@ -60,18 +75,22 @@ class LagSearch:
         n = float(np.count_nonzero(self._is_valid))
         power_y = np.abs(self._y_hat) ** 2
         power_y[:, 1:] *= 2.0
-        powers = np.abs(np.tensordot(across, self._x_hat, 1)) ** 2 * power_y
-        # As in `relate`.
+        combined_hat = np.tensordot(across, self._x_hat, 1)
+        powers = np.abs(combined_hat) ** 2 * power_y
+        # As in `relate`: the variance of r of y and each combination.
         largest = np.sum(powers, axis=(1, 2)).max()
         rows, cols = self._size
         variance = largest / (rows * cols * n**3)
-        fy = 2 * np.pi * fft.fftfreq(rows)[:, None]
-        fx = 2 * np.pi * fft.rfftfreq(cols)
         power = np.sum(powers, axis=0)
         total = np.sum(power)
         if not total > 0:
             return math.inf
-        yy, xx, yx = (np.sum(power * m) / total for m in (fy * fy, fx * fx, fy * fx))
+        # Covariance of the slopes of r by lag: second moments of the angular frequencies, 1/pixel.
+        wave_y = 2 * np.pi * fft.fftfreq(rows)[:, None]
+        wave_x = 2 * np.pi * fft.rfftfreq(cols)
+        yy = np.sum(power * (wave_y * wave_y)) / total
+        xx = np.sum(power * (wave_x * wave_x)) / total
+        yx = np.sum(power * (wave_y * wave_x)) / total
         root = math.sqrt(max(yy * xx - yx**2, 0.0))
         return float(variance * _chi2_limit(len(across), reach, root))
 
@@ -80,30 +99,39 @@ class LagSearch:
 
         The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels,
         with the fitted map m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x
-        and y: the second part is what the weights of the maps, which are fitted as well, add.
+        and y: the second part is what the weights of the maps, which are fitted as well, add. Its
+        sums over tiles of 150 um count as independent of each other.
         """
         x_slices, y_slices = overlap(self._y.shape, peak.lag_px)
         is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
         x = self._x[:, *x_slices]
         y = self._y[y_slices]
-        gradients = [np.gradient(self._y, axis=axis)[y_slices] for axis in (0, 1)]
-        slopes = np.where(is_valid, gradients, 0.0)
-        n = int(np.count_nonzero(is_valid))
+        slope_y, slope_x = (np.gradient(self._y, axis=axis)[y_slices] for axis in (0, 1))
+        slopes = np.where(is_valid, (slope_y, slope_x), 0.0)
+        n = np.count_nonzero(is_valid)
         fitted = np.tensordot(self.weights(peak.lag_px), x, 1)
         residual = np.where(is_valid, y - fitted, 0.0)
-        w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
-        scores = (fitted - peak.r * y) * slopes + residual * np.tensordot(w, x, 1)
-        scores = np.stack([centred(score, is_valid) for score in scores])
-        score_sums = tile_sums(scores, pixel_um, 150.0).reshape(2, -1)
+        slope_products = np.tensordot(slopes, x, _BOTH_AXES) / n
+        weight_slopes = slope_products @ self._inverse  # w, (2, k)
+        scores = (fitted - peak.r * y) * slopes
+        scores += residual * np.tensordot(weight_slopes, x, 1)
+        centred_scores = np.stack([centred(score, is_valid) for score in scores])
+        score_sums = tile_sums(centred_scores, pixel_um, 150.0).reshape(2, -1)
+        score_covariance = score_sums @ score_sums.T / n**2
         inverse_curvature = np.linalg.inv(-0.5 * peak.curvature)
-        return inverse_curvature @ (score_sums @ score_sums.T / n**2) @ inverse_curvature
+        return inverse_curvature @ score_covariance @ inverse_curvature
 
     def _products_at(self, lag_px: Shape2D) -> Floats:
         row, col = np.add(lag_px, self._wide)
-        return self._g[:, row, col]
+        return self._mean_products[:, row, col]
 
     def _lags(self, spectrum: Complexes | Floats) -> Floats:
         return lags_within(spectrum, self._size, self._wide)
+
+
+def _inverse_of(inner: Floats) -> Array:
+    """Inverse of the mean products of maps, without the combinations that are next to nothing."""
+    return np.linalg.pinv(inner, rcond=1e-6, hermitian=True)
 
 
 def _chi2_limit(k: int, reach: Shape2D, root: float) -> float:
@@ -114,14 +142,18 @@ def _chi2_limit(k: int, reach: Shape2D, root: float) -> float:
     By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance
     of the slopes of the Gaussian fields that it is made of, per pixel squared.
     """
+    # The ellipse's area and half of the circumference of a circle as large, in units of the field.
     area = math.pi * reach[0] * reach[1] * root
     half_round = math.pi * math.sqrt(reach[0] * reach[1] * root)
 
     def excess(u: float) -> float:
-        scale = math.exp(-u / 2 - special.gammaln(k / 2) - (k - 2) / 2 * math.log(2.0))
+        # Densities of the Euler characteristic above u of dimension 0, 1 and 2 (Worsley 1994).
+        log_scale = -u / 2 - special.gammaln(k / 2) - (k - 2) / 2 * math.log(2.0)
+        scale = math.exp(log_scale)
+        above = special.gammaincc(k / 2, u / 2)
         along = u ** ((k - 1) / 2) * scale / math.sqrt(2 * math.pi)
         over = u ** ((k - 2) / 2) * scale * (u - (k - 1)) / (2 * math.pi)
-        expected = special.gammaincc(k / 2, u / 2) + half_round * along + area * over
+        expected = above + half_round * along + area * over
         # Unrelated textures give a lag so often; of those that are not alike everywhere, more do.
         return float(expected - 0.001)
 

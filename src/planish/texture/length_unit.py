@@ -19,11 +19,11 @@ _STEPS = 3  # of units in a decade: a hundredth of paper with such a pixel has i
 def length_unit_um(first: Grid, second: Grid, *, by_pixel: bool = False) -> float:
     """Return 1 for layers of paper's size; otherwise, or ``by_pixel``, a unit of their pixel.
 
-    The coarser pixel is 4 to 8.6 of it long.
+    The coarser pixel is 4 to 8.6 of it long, and the unit a power of 10 to the third.
     """
     pixel_um = max(*first.pixel_um, *second.pixel_um)
-    areas_um2 = [math.prod((*grid.shape, *grid.pixel_um)) for grid in (first, second)]
     low_um, high_um = _PAPER_UM
+    areas_um2 = [math.prod((*g.shape, *g.pixel_um)) for g in (first, second)]
     is_paper = low_um <= pixel_um <= high_um and min(areas_um2) >= _LEAST_UM**2
     if is_paper and not by_pixel:
         return 1.0

@@ -3,13 +3,13 @@
 Where between the pixels the peak lies, and how well known it is.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from planish.core.typing import Bools, Complexes, Floats, Shape2D
+from planish.core.typing import Bools, Complexes, Floats, Shape2D, Window
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
 from planish.texture.textures import centred, standard
 
@@ -18,7 +18,7 @@ LEAST_PAIRS = 0.2
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
 # Standard deviation in pixels below which a peak is that of features of few pixels.
 _NARROW = 1.2
-# Of derivatives along rows and columns: height, slopes, curvature.
+# Of derivatives along y (down the rows) and x: height, slopes, curvature.
 _ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
@@ -37,7 +37,9 @@ class MaskedNcc:
         self._shape = padded_shape(a.shape, reach)
         self._b_valid = b_valid
         a = standard(a, a_valid)
-        self._mask_a = np.conj(padded_spectrum(a_valid.astype(np.float64), self._shape))
+        # Conjugates of spectra: their products with those of b give the lags from a to b.
+        mask_a = padded_spectrum(a_valid.astype(np.float64), self._shape)
+        self._mask_a = np.conj(mask_a)
         self._a = np.conj(padded_spectrum(a, self._shape))
         mask_b = padded_spectrum(b_valid.astype(np.float64), self._shape)
         self.pairs: Floats = np.rint(self._lags(self._mask_a * mask_b))
@@ -45,6 +47,7 @@ class MaskedNcc:
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
         squares = np.conj(padded_spectrum(a**2, self._shape))
+        # Sum of squared deviations from the mean of the overlap, at each lag.
         self._var_a = self._lags(squares * mask_b) - self._sum_a**2 / self._n
 
     def __call__(self, b: Floats) -> Floats:
@@ -54,9 +57,11 @@ class MaskedNcc:
         """
         b = standard(b, self._b_valid)
         b_hat = padded_spectrum(b, self._shape)
+        squares = padded_spectrum(b**2, self._shape)
         sum_b = self._lags(self._mask_a * b_hat)
-        var_b = self._lags(self._mask_a * padded_spectrum(b**2, self._shape)) - sum_b**2 / self._n
+        var_b = self._lags(self._mask_a * squares) - sum_b**2 / self._n
         product = self._lags(self._a * b_hat) - self._sum_a * sum_b / self._n
+        # The maps have variance 1: what is below is rounding, of a constant overlap.
         least = 1e-9 * self._n
         is_valid = (self._var_a > least) & (var_b > least)
         squared_spread = np.where(is_valid, self._var_a * var_b, np.nan)
@@ -83,14 +88,17 @@ def within(reach: Shape2D) -> Bools:
 
     The array is larger by a margin on every side.
     """
-    rows, cols = (np.arange(-n - MARGIN, n + MARGIN + 1) / n for n in reach)
-    return rows[:, None] ** 2 + cols[None, :] ** 2 <= 1.0 + 1e-12
+    down, across = (np.arange(-n - MARGIN, n + MARGIN + 1) / n for n in reach)
+    squared_distance = np.add.outer(down**2, across**2)
+    return squared_distance <= 1.0 + 1e-12
 
 
 def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     """Find the largest r where allowed, None where nothing is known.
 
-    Between pixels a cubic spline is climbed.
+    Between pixels a cubic spline is climbed. ``r`` (2 n + 1, 2 m + 1) has lag 0 in the middle, NaN
+    where unknown; ``allowed`` has its shape. The peak stays at a whole lag, without a curvature,
+    where it is negative, has unknown surroundings or a higher neighbour.
 
     Examples
     --------
@@ -101,20 +109,27 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     (2, 3)
     """
     height = np.where(allowed & np.isfinite(r), r, -np.inf)
-    row, col = divmod(int(np.argmax(height)), r.shape[1])
+    rows, cols = r.shape
+    row, col = divmod(int(np.argmax(height)), cols)
     if not np.isfinite(height[row, col]):
         return None
     highest = r[row, col]
-    lag_px = (row - r.shape[0] // 2, col - r.shape[1] // 2)
-    pixel_peak = Peak(lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=highest)
-    heights = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
-    width_px = 2 * MARGIN + 1
-    if highest < 0 or heights.shape != (width_px, width_px) or not np.isfinite(heights).all():
-        return pixel_peak
-    if heights[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > highest:
-        return pixel_peak
+    lag_px = (row - rows // 2, col - cols // 2)
+    summit_px = np.array(lag_px, dtype=np.float64)
+    pixel_peak = Peak(lag_px=lag_px, summit_px=summit_px, r=highest)
     axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
-    return _climbed(RectBivariateSpline(axis, axis, heights, kx=3, ky=3, s=0), pixel_peak)
+    heights = _square(r, row, col, MARGIN)
+    is_whole = heights.shape == (axis.size, axis.size)
+    if highest < 0 or not is_whole or not np.isfinite(heights).all():
+        return pixel_peak
+    if _square(r, row, col, 1).max() > highest:
+        return pixel_peak
+    spline = RectBivariateSpline(axis, axis, heights, kx=3, ky=3, s=0)
+    return _climbed(spline, pixel_peak)
+
+
+def _square(values: Floats, row: int, col: int, reach: int) -> Floats:
+    return values[row - reach : row + reach + 1, col - reach : col + reach + 1]
 
 
 def _climbed(spline: RectBivariateSpline, peak: Peak) -> Peak:
@@ -123,15 +138,16 @@ def _climbed(spline: RectBivariateSpline, peak: Peak) -> Peak:
     step = np.ones(2)
     for k in range(21):
         r, y, x, yy, yx, xx = (
-            float(spline.ev(offset[0], offset[1], dx=down, dy=across)) for down, across in _ORDERS
+            spline.ev(offset[0], offset[1], dx=down, dy=across) for down, across in _ORDERS
         )
         curvature = np.array([[yy, yx], [yx, xx]])
         if yy >= 0 or np.linalg.det(curvature) <= 0:
             return peak
         if k == 20 or np.abs(step).max() < 1e-10:
-            summit = peak.summit_px + offset
-            return Peak(lag_px=peak.lag_px, summit_px=summit, r=r, curvature=curvature, inner=True)
-        step = np.clip(-np.linalg.solve(curvature, [y, x]), -0.5, 0.5)
+            summit_px = peak.summit_px + offset
+            return replace(peak, summit_px=summit_px, r=float(r), curvature=curvature, inner=True)
+        newton_step = -np.linalg.solve(curvature, [y, x])
+        step = np.clip(newton_step, -0.5, 0.5)
         offset = offset + step
         # On a ridge, the summit is not within the pixel that is highest.
         if np.abs(offset).max() > 2.0:
@@ -152,9 +168,9 @@ def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
 
 
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
-    """Covariance of the peak's place, (2, 2) in pixels squared.
+    """Covariance of the peak's place, (2, 2) in pixels squared, rows first.
 
-    It comes from the textures of what the maps do not share.
+    It comes from the textures of what the maps (rows, cols) do not share.
 
     At the peak the slope of r is the mean of ``u v`` over the pairs, ``u = a - r b``, ``v`` the
     gradient of ``b`` (maps standardised). For stationary Gaussian maps ``var(sum u v) = sum over h
@@ -162,23 +178,24 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     peak moves by the slope over the curvature of r.
     """
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
-    # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
-    # coefficients.
-    spline = np.asarray(ndimage.spline_filter(centred(b, b_valid), order=3), dtype=np.float64)
-    spline = np.pad(spline, 1, mode="edge")
-    slope_y = 0.5 * (spline[2:, 1:-1] - spline[:-2, 1:-1])
-    slope_x = 0.5 * (spline[1:-1, 2:] - spline[1:-1, :-2])
-    slopes = np.stack([slope_y[b_slices], slope_x[b_slices]])
     is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
-    u = standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid)
-    v = slopes / b[b_slices][is_valid].std()
-    v = np.stack([centred(slope, is_valid) for slope in v])
+    a_part = a[a_slices]
+    b_part = b[b_slices]
+    u = standard(a_part, is_valid) - peak.r * standard(b_part, is_valid)
     reach = quarter_of(u.shape)
     shape = padded_shape(u.shape, reach)
     mask_hat = padded_spectrum(is_valid.astype(np.float64), shape)
     u_hat = padded_spectrum(u, shape)
-    v_hat = [padded_spectrum(s, shape) for s in v]
+    # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
+    # coefficients.
+    spline = ndimage.spline_filter(centred(b, b_valid), order=3)
+    sd = b_part[is_valid].std()
+    v_hat: list[Complexes] = []
+    for axis in (0, 1):
+        slope = ndimage.correlate1d(spline, (-0.5, 0.0, 0.5), axis=axis, mode="nearest")
+        v = centred(slope[b_slices] / sd, is_valid)
+        v_hat.append(padded_spectrum(v, shape))
 
     def lags(first: Complexes, second: Complexes) -> Floats:
         return lags_within(np.conj(first) * second, shape, reach)
@@ -189,12 +206,14 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     covariance = np.empty((2, 2))
     for i, j in np.ndindex(2, 2):
         alike = r_u * lags(v_hat[i], v_hat[j])
-        crossed = r_uv[i] * r_uv[j][::-1, ::-1] / pairs
+        crossed = r_uv[i] * np.flip(r_uv[j]) / pairs
         covariance[i, j] = np.sum(alike + crossed)
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
-    covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    # Of few pairs it may have a negative part, which is left out.
+    symmetric = 0.5 * (covariance + covariance.T) / n**2
+    values, vectors = np.linalg.eigh(symmetric)
+    slope_covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     inverse = np.linalg.inv(peak.curvature)
-    return inverse @ covariance @ inverse
+    return inverse @ slope_covariance @ inverse
 
 
 def lost_between_pixels(peak: Peak) -> Floats:
@@ -205,7 +224,9 @@ def lost_between_pixels(peak: Peak) -> Floats:
     """
     width = np.sqrt(-peak.r / np.diag(peak.curvature))
     most = np.where(width < _NARROW, 0.045 * width**-2.65, 0.0)
-    return np.diag(most**2 * (np.sin(2 * np.pi * peak.summit_px) ** 2 + 0.01))
+    # None at a whole and at a half lag, where both sides draw alike; most between them.
+    share = np.sin(2 * np.pi * peak.summit_px) ** 2 + 0.01
+    return np.diag(most**2 * share)
 
 
 def quarter_of(shape: tuple[int, ...]) -> Shape2D:
@@ -213,13 +234,13 @@ def quarter_of(shape: tuple[int, ...]) -> Shape2D:
     return max(shape[0] // 4, 1), max(shape[1] // 4, 1)
 
 
-def overlap(
-    shape: tuple[int, ...], lag: Shape2D
-) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def overlap(shape: tuple[int, ...], lag: Shape2D) -> tuple[Window, Window]:
     """Return the pixels of a, and those of b that lie on them at a lag."""
-    (rows, cols), (down, across) = shape, lag
-    a_slices = _overlapping(rows, down), _overlapping(cols, across)
-    return a_slices, (_overlapping(rows, -down), _overlapping(cols, -across))
+    rows, cols = shape
+    down, across = lag
+    a_slices = (_overlapping(rows, down), _overlapping(cols, across))
+    b_slices = (_overlapping(rows, -down), _overlapping(cols, -across))
+    return a_slices, b_slices
 
 
 def _overlapping(n: int, lag: int) -> slice:

@@ -1,27 +1,35 @@
 """Spectra of maps that are padded by zeros, and the lags that products of spectra give."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import fft
 
-from planish.core.typing import Array, Complexes, Floats, Pair
+from planish.core.typing import Array, Complexes, Floats, Pair, Shape
 
 
-def padded_shape(shape: Iterable[int], reach: Iterable[int]) -> tuple[int, ...]:
-    """Shape at which lags within ``reach`` do not wrap, and that is transformed quickly."""
-    return tuple(fft.next_fast_len(n + r, real=True) for n, r in zip(shape, reach, strict=True))
+def padded_shape(shape: Sequence[int], reach: Sequence[int]) -> Shape:
+    """Shape at which lags within ``reach`` do not wrap, and that is transformed quickly.
+
+    Both are rows and columns, in pixels.
+    """
+    lengths = np.add(shape, reach).tolist()
+    return tuple(fft.next_fast_len(n, real=True) for n in lengths)
 
 
 def padded_spectrum(values: Array, shape: Sequence[int]) -> Complexes:
     """What ``fft.rfft2(values, shape)`` gives, without a copy of the map with its zeros."""
-    along_rows = np.asarray(fft.rfft(values, shape[1], axis=1))
-    return np.asarray(fft.fft(along_rows, shape[0], axis=0, overwrite_x=True))
+    along_rows = fft.rfft(values, shape[1], axis=1)
+    return fft.fft(along_rows, shape[0], axis=0, overwrite_x=True)
 
 
 def wrapped_lags_um(shape: Sequence[int], pixel_um: Pair) -> list[Floats]:
-    """Lags along rows and columns of what a product of spectra gives."""
-    return [fft.fftfreq(n, 1.0 / n) * step for n, step in zip(shape, pixel_um, strict=True)]
+    """Lags along rows and columns of what a product of spectra gives.
+
+    First those from 0 up, then the negative ones.
+    """
+    axes = zip(shape, pixel_um, strict=True)
+    return [fft.fftfreq(n, 1.0 / n) * pitch_um for n, pitch_um in axes]
 
 
 def frequencies_of(shape: Sequence[int], pixel_um: Pair) -> Floats:
@@ -34,8 +42,11 @@ def frequencies_of(shape: Sequence[int], pixel_um: Pair) -> Floats:
 def lags_within(spectrum: Array, shape: Sequence[int], reach: Sequence[int]) -> Floats:
     """Lags ``-reach ... reach`` of the circular correlation with a spectrum of ``fft.rfft2``.
 
-    Rows of other lags are not transformed back.
+    Rows of other lags are not transformed back. ``shape`` is that of the padded maps, longer than
+    the reach. Gives (2 reach + 1, 2 reach + 1) with lag 0 in the middle.
     """
-    rows, cols = (np.arange(-r, r + 1) % n for r, n in zip(reach, shape, strict=True))
-    by_row = np.asarray(fft.ifft(spectrum, axis=0))[rows]
-    return np.asarray(fft.irfft(by_row, shape[1], axis=1), dtype=np.float64)[:, cols]
+    # Negative lags stand at the end, where negative indices find them.
+    down, across = (np.arange(-r, r + 1) for r in reach)
+    by_row = fft.ifft(spectrum, axis=0)[down]
+    lags = fft.irfft(by_row, shape[1], axis=1)[:, across]
+    return lags.astype(np.float64)

@@ -17,7 +17,6 @@ from planish.texture.spectra import padded_shape, padded_spectrum
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 MOST_PIXELS = 300_000
-_AXES = (("x", 1), ("y", 0))
 _SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
 
 
@@ -46,14 +45,16 @@ class Textures:
     def middle_um(self) -> Floats:
         """The middle, ``(x, y)`` from that of the first pixel."""
         rows, cols = self.known.shape
-        return 0.5 * np.multiply((cols - 1, rows - 1), self.pixel_um[::-1])
+        row_um, col_um = self.pixel_um
+        return np.array([0.5 * (cols - 1) * col_um, 0.5 * (rows - 1) * row_um])
 
     def middle_part(self, share: float) -> Textures:
         """A share of both sides, about the same middle."""
-        borders = [round(n * (1 - share) / 2) for n in self.known.shape]
-        rows, cols = (slice(k, n - k) for n, k in zip(self.known.shape, borders, strict=True))
-        maps = {k: m[rows, cols] for k, m in self.maps.items()}
-        return replace(self, maps=maps, known=self.known[rows, cols])
+        rows, cols = self.known.shape
+        top, left = (round(n * (1 - share) / 2) for n in (rows, cols))
+        part = np.s_[top : rows - top, left : cols - left]
+        maps = {k: m[part] for k, m in self.maps.items()}
+        return replace(self, maps=maps, known=self.known[part])
 
     def with_slopes(self, name: str) -> Textures:
         """Add the slopes of a map along x and y, ``name_x`` and ``name_y``.
@@ -62,9 +63,10 @@ class Textures:
         """
         # Where a pixel and its four neighbours are known.
         is_valid = ndimage.binary_erosion(self.known)
-        slopes = {f"{name}_{k}": np.gradient(self.maps[name], axis=axis) for k, axis in _AXES}
-        maps = {k: standard(m, is_valid) for k, m in (self.maps | slopes).items()}
-        return replace(self, maps=maps, known=is_valid)
+        slope_y, slope_x = (np.gradient(self.maps[name], axis=axis) for axis in (0, 1))
+        maps = self.maps | {f"{name}_x": slope_x, f"{name}_y": slope_y}
+        standard_maps = {k: standard(m, is_valid) for k, m in maps.items()}
+        return replace(self, maps=standard_maps, known=is_valid)
 
     def halved(self, *names: str) -> Textures:
         """The halves of some maps in their place, each with its number behind the name."""
@@ -78,8 +80,9 @@ class Textures:
 
         Without one that is empty.
         """
-        low = low_pass_known(self.maps[name], self.known, _SPLIT_UM, self.pixel_um)
-        halves = [standard(m, self.known) for m in (low, self.maps[name] - low)]
+        values = self.maps[name]
+        low = low_pass_known(values, self.known, _SPLIT_UM, self.pixel_um)
+        halves = [standard(half, self.known) for half in (low, values - low)]
         return [half for half in halves if half.any()]
 
 
@@ -153,19 +156,18 @@ def textures(
         )
     factor = max(1, math.ceil(math.sqrt(valid.size / most_pixels)))
     pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
-    shown: dict[str, Floats] = {}
+    means: dict[str, Floats] = {}
     for name, values in maps.items():
-        (shown[name],) = common_means([values], (factor, factor), masks=[valid])
-    count = {k: np.count_nonzero(np.isfinite(m)) for k, m in shown.items()}
+        (means[name],) = common_means([values], (factor, factor), masks=[valid])
+    counts = {k: np.isfinite(m).sum() for k, m in means.items()}
     # Of the pixels of the map that is known best; maps with fewer are left out.
-    least = max(0.7 * max(count.values(), default=0), 1)
-    shown = {k: m for k, m in shown.items() if count[k] >= least}
+    least = max(0.7 * max(counts.values(), default=0), 1)
+    shown = {k: m for k, m in means.items() if counts[k] >= least}
     if not shown:
-        return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
+        return Textures(maps={}, known=np.zeros_like(valid), pixel_um=pixel_um)
     band = _Band(valid_in_all(shown.values()), pixel_um, band_um)
-    return Textures(
-        maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um
-    )
+    band_maps = {k: band(m) for k, m in shown.items()}
+    return Textures(maps=band_maps, known=band.is_valid, pixel_um=pixel_um)
 
 
 def relate(
@@ -173,7 +175,8 @@ def relate(
 ) -> Relation:
     """Correlate two textures (rows, cols) and state how far r of unrelated ones scatters about 0.
 
-    ``of`` is the texture whose spread ``part`` is a share of, where that is not b. The standard
+    ``pixel_um`` is that along y and x. ``of`` is the texture whose spread ``part`` is a share of,
+    where that is not b. Without a known pixel r is 0 with an infinite deviation. The standard
     deviation is the larger of two. Textures that are alike everywhere: ``var(r) = sum over h of
     R_a(h) R_b(h) / n³`` with the sums of products R at the lag h, which is the variance over all
     surrogates of random phases (Theiler et al. 1992), put right for the mask (Clifford et al.
@@ -201,18 +204,24 @@ def relate(
     a = standard(a, is_valid)
     b = standard(b, is_valid)
     r = float(np.sum(a * b)) / n
-    unexplained_share = math.sqrt(max(1.0 - r * r, 0.0))
     sd = _scatter(a, b, r, n, pixel_um)
-    part_se = _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um)
-    return Relation(r, sd, share * r, share * unexplained_share * part_se)
+    # Of a with what it leaves of b.
+    residual = standard(b - r * a, is_valid)
+    residual_sd = _scatter(a, residual, 0.0, n, pixel_um)
+    unexplained_share = math.sqrt(max(1.0 - r * r, 0.0))
+    return Relation(r, sd, share * r, share * unexplained_share * residual_sd)
 
 
 def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
-    """Standard deviation of r of unrelated textures like these two; 0 where they are not known."""
+    """Standard deviation of r of unrelated textures like these two; 0 where they are not known.
+
+    Both have mean 0 and standard deviation 1 over their ``n`` known pixels, and the correlation r.
+    """
     size = padded_shape(a.shape, (0, 0))
     power = np.abs(padded_spectrum(a, size) * padded_spectrum(b, size)) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
-    alike = np.sum(power) / (size[0] * size[1] * n)
+    # Parseval: the sum over all lags of the products of both sums of products.
+    alike = np.sum(power) / (math.prod(size) * n)
     parts = tile_sums(influence_on_r(a, b, r), pixel_um)
     return math.sqrt(max(alike, np.sum(parts**2))) / n
 
@@ -259,12 +268,14 @@ def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
 def low_pass_known(values: Floats, is_known: Bools, half_um: float, pixel_um: Pair) -> Floats:
     """The same over the known pixels alone."""
     weight = low_pass(is_known.astype(np.float64), half_um, pixel_um)
-    return low_pass(np.where(is_known, values, 0.0), half_um, pixel_um) / np.maximum(weight, 1e-9)
+    total = low_pass(np.where(is_known, values, 0.0), half_um, pixel_um)
+    return total / np.maximum(weight, 1e-9)
 
 
 def sigma_px(half_um: float, pixel_um: Pair) -> list[float]:
     """Standard deviations of the Gaussian that halves a wave of a length, in pixels."""
-    return [half_um * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um]
+    sigma_um = half_um * math.sqrt(math.log(2.0) / 2) / math.pi
+    return [sigma_um / p for p in pixel_um]
 
 
 def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
@@ -272,16 +283,22 @@ def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
 
     Waves 250 um apart are unrelated.
     """
-    for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
-        side = max(round(tile_um / pixel), 1)
-        values = np.add.reduceat(values, np.arange(0, values.shape[axis], side), axis=axis)
+    for axis, pitch_um in zip((-2, -1), pixel_um, strict=True):
+        side_px = max(round(tile_um / pitch_um), 1)
+        starts = np.arange(0, values.shape[axis], side_px)
+        values = np.add.reduceat(values, starts, axis=axis)
     return values
 
 
 class _Band:
-    """The band of maps with one mask; its filters' weights are computed once."""
+    """The band of maps with one mask; its filters' weights are computed once.
+
+    All filters take missing pixels as 0 and divide by what they make of the mask, so that these
+    have no weight. ``shown`` are the pixels with a value in all maps.
+    """
 
     def __init__(self, shown: Bools, pixel_um: Pair, band_um: Pair) -> None:
+        """Filter the mask as the maps will be, and number the distances from its holes."""
         self._pixel_um = pixel_um
         self._band_um = band_um
         # The neighbourhood of 1 mm in which all maps are given the same spread.
@@ -294,21 +311,29 @@ class _Band:
         self._local_weight = np.maximum(self._neighbourhood(weight), 1e-9)
         # Around holes, the mean at each distance up to 300 um is taken off.
         distance = ndimage.distance_transform_edt(self.is_valid, sampling=pixel_um)
-        self._ring: Ints = (np.minimum(distance, 300.0) / max(15.0, *pixel_um)).astype(np.intp)
-        self._in_ring = np.maximum(np.bincount(self._ring[self.is_valid]), 1)
+        ring = np.minimum(distance, 300.0) / max(15.0, *pixel_um)
+        self._ring: Ints = ring.astype(np.intp)
+        pixel_counts = np.bincount(self._ring[self.is_valid])
+        self._in_ring = np.maximum(pixel_counts, 1)
 
     def __call__(self, values: Floats) -> Floats:
+        """The band of one map (rows, cols), NaN where missing; 0 where the result is not known."""
         is_valid = self.is_valid
-        out = low_pass(standard(values, self._shown), self._band_um[0], self._pixel_um)
-        out = standard(np.divide(out, self._fine, out=out, where=is_valid), is_valid)
+        fine = low_pass(standard(values, self._shown), self._band_um[0], self._pixel_um)
+        fine = np.divide(fine, self._fine, out=fine, where=is_valid)
+        out = standard(fine, is_valid)
         slow = low_pass(out, self._band_um[1], self._pixel_um) / self._slow_weight
         out = standard(np.where(is_valid, out - slow, 0.0), is_valid)
-        spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._local_weight, 0.3**2))
+        variance = self._neighbourhood(out * out) / self._local_weight
+        # Where there is next to no texture, what there is, is not made as large as the rest.
+        spread = np.sqrt(np.maximum(variance, 0.3**2))
         # A stain is one event, however dark it is.
-        out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)
+        clipped = np.clip(out / spread, -3.0, 3.0)
+        out = np.where(is_valid, clipped, 0.0)
         # What holes by one laser program do to their surroundings is no sign of one specimen.
-        ring_mean = np.bincount(self._ring[is_valid], weights=out[is_valid]) / self._in_ring
-        return standard(np.where(is_valid, out - ring_mean[self._ring], 0.0), is_valid)
+        ring_sums = np.bincount(self._ring[is_valid], weights=out[is_valid])
+        ring_mean = ring_sums / self._in_ring
+        return standard(out - ring_mean[self._ring], is_valid)
 
     def _neighbourhood(self, values: Floats) -> Floats:
         smoothed = ndimage.uniform_filter(values, self._local, mode="constant")
