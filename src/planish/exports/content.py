@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import DTypeLike
 
 from planish.core.bands import read_bands
 from planish.core.errors import SizeError
 from planish.core.typing import Array, DType, Entries, Fields, Floats, Pair, Shape2D, Singles
 from planish.report.colours import Scale
+from planish.report.text import title_of
 
 _ENDS = (slice(None, -1), slice(1, None))
 # Corners of the cells between the nodes of a grid: row by row, all nodes that are one.
@@ -71,7 +73,9 @@ class Maps:
     @property
     def dims(self) -> tuple[str, str]:
         """Names of rows and columns: (y, x), or (v, u) of the flat sheet."""
-        return ("v", "u") if "v" in self.data.dims else ("y", "x")
+        if "v" in self.data.dims:
+            return "v", "u"
+        return "y", "x"
 
     @property
     def at_um(self) -> tuple[Floats, Floats]:
@@ -118,7 +122,7 @@ class Maps:
     @property
     def titles(self) -> dict[str, str]:
         """Titles of the maps, by name."""
-        return {name: str(self.data[name].attrs.get("long_name", name)) for name in self.names}
+        return {name: title_of(self.data[name]) for name in self.names}
 
     @property
     def units(self) -> dict[str, str]:
@@ -129,26 +133,31 @@ class Maps:
         """Take a single map."""
         return replace(self, data=self.data[[name]])
 
-    def whole(self, name: str, dtype: DType | type[np.generic]) -> Array:
-        """All of a map at once, as ``dtype``."""
+    def dtype_of(self, name: str) -> DType:
+        """Type in which a map is written: its own, truth values as bytes of 0 and 1."""
+        return plain_type(self.data[name].dtype)
+
+    def whole(self, name: str, dtype: DTypeLike) -> Array:
+        """All of a map at once (rows, cols), as ``dtype``."""
         return np.concatenate([band for _, band in self.bands(name, dtype)])
 
-    def bands(
-        self, name: str, dtype: DType | type[np.generic] | None = None
-    ) -> Iterator[tuple[slice, Array]]:
-        """Give a map band by band, reading ahead, as ``dtype``.
+    def bands(self, name: str, dtype: DTypeLike | None = None) -> Iterator[tuple[slice, Array]]:
+        """Give a map band by band, reading ahead: its rows, and their values (rows, cols).
 
-        Its own type where not given, truth values as bytes.
+        They are of ``dtype``, or as :meth:`dtype_of` says where it is not given.
         """
-        pixels = self.data[name]
-        target = plain_type(pixels.dtype) if dtype is None else np.dtype(dtype)
-        for rows, (band,) in read_bands(pixels):
+        target = self.dtype_of(name)
+        if dtype is not None:
+            target = np.dtype(dtype)
+        for rows, (band,) in read_bands(self.data[name]):
             yield rows, np.ascontiguousarray(band, dtype=target)
 
 
 def volume_facts(volume: xr.DataArray) -> Entries:
     """Attributes of a volume for the history, where its voxel size stands by itself."""
-    return {str(key): value for key, value in volume.attrs.items() if key != "voxel_um"}
+    facts = dict(volume.attrs)
+    facts.pop("voxel_um", None)
+    return facts
 
 
 def percentile_limits(pixels: Singles) -> Pair:
@@ -160,12 +169,16 @@ def percentile_limits(pixels: Singles) -> Pair:
     if not finite.size:
         return 0.0, 1.0
     low, high = np.percentile(finite, (1.0, 99.0)).tolist()
-    return low, high if high > low else low + 1.0
+    if not high > low:  # of a constant map
+        high = low + 1.0
+    return low, high
 
 
 def plain_type(dtype: DType) -> DType:
     """Type in which values are written: truth values become bytes of 0 and 1."""
-    return np.dtype(np.uint8) if dtype.kind == "b" else dtype
+    if dtype.kind == "b":
+        return np.dtype(np.uint8)
+    return dtype
 
 
 def units_of(variable: xr.DataArray) -> str:
@@ -176,12 +189,15 @@ def units_of(variable: xr.DataArray) -> str:
 def column_of(name: str, units: str) -> str:
     """Name of a column or property with its unit: ``coating_top_um``; no unit for plain numbers."""
     word = units.replace("/", "_per_").replace("%", "percent")
-    return name if units in ("", "1") or name.endswith(f"_{word}") else f"{name}_{word}"
+    if units in ("", "1") or name.endswith(f"_{word}"):
+        return name
+    return f"{name}_{word}"
 
 
 def exact_pitch(places_um: Floats) -> float:
     """Pitch of evenly spaced places, without the rounding of each; 0 of a single one."""
-    return exact((places_um[-1] - places_um[0]) / max(places_um.size - 1, 1))
+    n_steps = max(places_um.size - 1, 1)
+    return exact((places_um[-1] - places_um[0]) / n_steps)
 
 
 def exact(length_um: float) -> float:

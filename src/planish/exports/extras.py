@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import InputError
-from planish.exports.content import ExportHistory, Maps, plain_type
+from planish.exports.content import ExportHistory, Maps
 from planish.exports.formats import ExportParams
 
 
@@ -35,21 +35,25 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
             dataset = file.create_variable(axis, (axis,), np.float64, data=coords_um)
             dataset.attrs.update({"units": "um", "long_name": long_names[axis]})
         for name in maps.names:
-            dtype = plain_type(maps.data[name].dtype)
-            fill_value: Any = dtype.type(np.nan) if dtype.kind == "f" else None
+            dtype = maps.dtype_of(name)
+            fill_value: Any = None
+            if dtype.kind == "f":
+                fill_value = dtype.type(np.nan)
             # Every value is written: filling the space before would write it twice.
             dataset = file.create_variable(
                 name, maps.dims, dtype, fillvalue=fill_value, fill_time="never"
             )
             for rows, band in maps.bands(name):
                 dataset[rows] = band
-            units, attrs = maps.units[name], maps.data[name].attrs
+            units = maps.units[name]
             dataset.attrs["long_name"] = maps.titles[name]
             dataset.attrs["units"] = udunits.get(units, units)
+            attrs = maps.data[name].attrs
             if maps.data[name].dtype.kind == "b":
                 attrs = {"flag_values": [0, 1], "flag_meanings": "false true"}
+            # Codes, such as those of the status of columns, say what they mean.
             if "flag_values" in attrs:
-                dataset.attrs["flag_values"] = np.asarray(attrs["flag_values"]).astype(dtype)
+                dataset.attrs["flag_values"] = np.asarray(attrs["flag_values"], dtype)
                 dataset.attrs["flag_meanings"] = str(attrs["flag_meanings"])
         file.attrs.update(
             {
@@ -74,6 +78,7 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
 
     file = GwyContainer()
+    note = history.json(**maps.facts() | {"missing": "mask"})
     dy_um, dx_um = maps.pixel_um
     y0, x0 = maps.origin_um
     rows, cols = maps.shape
@@ -89,7 +94,9 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
         si_unit, si_factor = _SI_UNITS.get(map_unit, (map_unit, 1.0))
         pixels = maps.whole(name, np.float64)
         is_missing = ~np.isfinite(pixels)
-        pixels[is_missing] = 0.0 if is_missing.all() else float(pixels[~is_missing].mean())
+        pixels[is_missing] = 0.0
+        if not is_missing.all():
+            pixels[is_missing] = pixels[~is_missing].mean()
         file[f"/{k}/data/title"] = maps.titles[name]
         data_fields = [("data", pixels * si_factor, si_unit)]
         if is_missing.any():
@@ -101,9 +108,7 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
                 si_unit_z=GwySIUnit(unitstr=unit),
                 **extent_m,
             )
-        file[f"/{k}/meta"] = GwyContainer(
-            {"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})}
-        )
+        file[f"/{k}/meta"] = GwyContainer({"name": name, "planish": note})
         file[f"/{k}/data/visible"] = True
     with path.open("wb") as stream:
         file.tofile(stream)
@@ -127,9 +132,7 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
     )
     changed = datetime.fromtimestamp((run / "results.json").stat().st_mtime, UTC)
     crate.root_dataset["datePublished"] = f"{changed:%Y-%m-%d}"
-    files = [
-        _add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")
-    ]
+    files = [_add(crate, entry) for entry in sorted(run.glob("[!.]*"))]  # without hidden ones
     program = _entity(
         crate,
         "#planish",
@@ -187,16 +190,17 @@ _MIME_TYPES = {
 
 
 def _add(crate: Any, entry: Path) -> Any:
+    """Put a file or folder of the run into the crate and describe it; give its entity there."""
     name = entry.name
-    usual_text = "Marks and registration" if name.startswith("marks") else name
+    usual_text = name
+    if name.startswith("marks"):
+        usual_text = "Marks and registration"
     description = _DESCRIPTIONS.get(name, usual_text)
     properties = {"name": name, "description": description}
     if entry.is_dir():
         return crate.add_dataset(str(entry), f"{name}/", properties=properties)
     content = entry.read_bytes()
-    properties |= {
-        "contentSize": str(len(content)),
-        "sha256": hashlib.sha256(content).hexdigest(),
-        "encodingFormat": _MIME_TYPES.get(entry.suffix, "application/octet-stream"),
-    }
+    properties["contentSize"] = str(len(content))
+    properties["sha256"] = hashlib.sha256(content).hexdigest()
+    properties["encodingFormat"] = _MIME_TYPES.get(entry.suffix, "application/octet-stream")
     return crate.add_file(str(entry), name, properties=properties)

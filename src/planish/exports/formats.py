@@ -14,6 +14,7 @@ import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -57,11 +58,17 @@ class ExportFormat:
     @property
     def counts(self) -> str:
         """Word for the parts that its size is counted in: nodes of a surface, or pixels."""
-        return "nodes" if "surface" in self.holds else "pixels"
+        if "surface" in self.holds:
+            return "nodes"
+        return "pixels"
 
     def endings_of(self, *, affine: bool) -> Texts:
         """Ends of the files of one direction of a registration."""
-        return (self.endings or self.suffixes)[: 1 if affine or not self.endings else None]
+        if not self.endings:
+            return self.suffixes[:1]
+        if affine:
+            return self.endings[:1]
+        return self.endings
 
 
 _BOTH = (
@@ -350,9 +357,10 @@ def is_file(name: str, out: Path) -> bool:
     """
     form = find_format(name)
     low = out.name.lower()
-    suffixes = {end for row in FORMATS.values() for end in row.suffixes if low.endswith(end)}
-    if suffixes:
-        longest = max(suffixes, key=len)
+    known_suffixes = chain.from_iterable(row.suffixes for row in FORMATS.values())
+    # Of .ome.tif and .tif, both of which such a name ends in, the longer one says what is meant.
+    longest = max(filter(low.endswith, known_suffixes), key=len, default="")
+    if longest:
         meant = [other for other in FORMATS if longest in FORMATS[other].suffixes]
         if name in meant:
             return True
@@ -362,7 +370,9 @@ def is_file(name: str, out: Path) -> bool:
         return False
     else:
         whose = f"has the ending {out.suffix}"
-    ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
+    ends = ""
+    if form.suffixes:
+        ends = f"a name that ends in {' or '.join(form.suffixes)}, or "
     raise FileError(
         f"{out.name} {whose}, and `to` says {name}. Give {ends}a folder without an ending."
     )
@@ -374,7 +384,9 @@ def formats_table() -> str:
     rows: list[Texts] = [head, ("---",) * len(head)]
     for name, form in FORMATS.items():
         ends = " ".join(f"`{end}`" for end in form.suffixes) or "(always a folder)"
-        largest = "any" if form.most is None else f"{form.most / 1e6:.0f} million {form.counts}"
+        largest = "any"
+        if form.most is not None:
+            largest = f"{form.most / 1e6:.0f} million {form.counts}"
         rows.append((f"`{name}`", ends, form.gives, form.opens, form.missing, largest))
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 

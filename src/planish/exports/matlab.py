@@ -3,6 +3,7 @@
 Version 7.3 is an HDF5 file with MATLAB's classes and its order of axes.
 """
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from planish.core.errors import ResourceError
 from planish.core.memory import WHOLE_BYTES
 from planish.core.threads import thread_pool
 from planish.core.typing import Array, Entries, Shape2D
-from planish.exports.content import ExportHistory, Maps, plain_type
+from planish.exports.content import ExportHistory, Maps
 from planish.exports.formats import ExportParams
 
 MOST_5 = 2**31 - 2**20
@@ -74,36 +75,42 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
 
     ResourceError where the one that was asked for cannot hold them.
     """
-    pixel_bytes = sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names)
-    maps_bytes = pixel_bytes * maps.shape[0] * maps.shape[1]
+    pixel_bytes = sum(maps.dtype_of(name).itemsize for name in maps.names)  # of all maps together
+    maps_bytes = pixel_bytes * math.prod(maps.shape)
     if params.mat_version == "5" and maps_bytes > MOST_5:
         raise ResourceError(
             f"The maps take {maps_bytes / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB."
             " Leave out `mat_version`, choose fewer maps with `map`, or give a folder for a file"
             " each."
         )
-    return params.mat_version or ("5" if maps_bytes <= WHOLE_BYTES else "7.3")
+    usual_version = "5"
+    if maps_bytes > WHOLE_BYTES:
+        usual_version = "7.3"
+    return params.mat_version or usual_version
 
 
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
     """Write a map chunk by chunk, turned: MATLAB's first index runs fastest."""
-    dtype = plain_type(maps.data[name].dtype)
+    dtype = maps.dtype_of(name)
     rows, cols = maps.shape
     # As many columns in each chunk: what reaches beyond the map is written, too.
-    chunk = (-(-cols // -(-cols // _CHUNK)), min(_CHUNK, rows))
+    n_chunks = math.ceil(cols / _CHUNK)
+    chunk = (math.ceil(cols / n_chunks), min(_CHUNK, rows))  # columns, rows
     dataset = file.create_dataset(
         name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never"
     )
     first_cols = range(0, cols, chunk[0])
     with thread_pool() as pool:
         for rows_of_band, band in maps.bands(name):
+            # The chunks of a band are cut out on several threads and written in their order.
             blocks = pool.map(partial(_turned, band, chunk), first_cols)
             for first_col, block in zip(first_cols, blocks, strict=True):
                 dataset.id.write_direct_chunk((first_col, rows_of_band.start), block.data)
     if maps.data[name].dtype.kind == "b":
         _set_class(dataset, "logical", int_decode=1)
     else:
-        _set_class(dataset, {"float32": "single", "float64": "double"}.get(dtype.name, dtype.name))
+        matlab_names = {"float32": "single", "float64": "double"}
+        _set_class(dataset, matlab_names.get(dtype.name, dtype.name))
 
 
 def _turned(band: Array, chunk: Shape2D, first_col: int) -> Array:
@@ -115,6 +122,7 @@ def _turned(band: Array, chunk: Shape2D, first_col: int) -> Array:
 
 
 def _put(group: h5py.Group, name: str, variable: Any) -> None:
+    """Write what is no map: a dict as structure, a text, or numbers, turned as maps are."""
     if isinstance(variable, dict):
         struct = group.create_group(name)
         struct.attrs["MATLAB_class"] = np.bytes_("struct")
@@ -122,7 +130,8 @@ def _put(group: h5py.Group, name: str, variable: Any) -> None:
             _put(struct, field, text)
     elif isinstance(variable, str):
         utf16 = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
-        _set_class(group.create_dataset(name, data=utf16[:, None]), "char", int_decode=2)
+        characters = group.create_dataset(name, data=utf16[:, None])
+        _set_class(characters, "char", int_decode=2)
     else:
         numbers = np.asarray(variable, dtype=np.float64).T
         _set_class(group.create_dataset(name, data=numbers), "double")

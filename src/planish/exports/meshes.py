@@ -22,6 +22,7 @@ from planish.exports.content import CORNERS, ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
 
+_GREY = (212, 214, 216)  # of missing values: MISSING of the page as red, green, blue
 SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 """Names of the surfaces in the group ``surfaces``."""
 
@@ -59,20 +60,26 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
     if mesh.colours is not None:
         columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
     columns |= mesh.maps
+    # A record of a node, and one of a cell, as they stand in the file.
     node_type = [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()]
     nodes = np.rec.fromarrays(columns.values(), node_type)
-    faces = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
-    faces["count"], faces["nodes"] = 4, mesh.quads
+    face_type = [("count", "u1"), ("nodes", "<i4", (4,))]
+    faces = np.empty(len(mesh.quads), face_type)
+    faces["count"] = 4
+    faces["nodes"] = mesh.quads
+    properties: list[str] = []
+    for name, column in columns.items():
+        ply_type = "float"
+        if column.dtype == np.uint8:
+            ply_type = "uchar"
+        properties.append(f"property {ply_type} {name}")
     header_lines = [
         "ply",
         "format binary_little_endian 1.0",
         f"comment {mesh.description}",
         f"comment {history.json()}",
         f"element vertex {len(nodes)}",
-        *(
-            f"property {'uchar' if column.dtype == np.uint8 else 'float'} {k}"
-            for k, column in columns.items()
-        ),
+        *properties,
         f"element face {len(faces)}",
         "property list uchar int vertex_indices",
         "end_header",
@@ -111,19 +118,22 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     study's hash.
     """
     mesh = mesh_of(surface, params)
-    corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    halves_of_cell = [[0, 1, 2], [0, 2, 3]]  # its corners in each of two triangles
+    corners = mesh.quads[:, halves_of_cell].reshape(-1, 3)
     record = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
     triangles = np.zeros(len(corners), record)
     vertices = mesh.points[corners]
-    edges = vertices[:, 1:] - vertices[:, :1]  # from the first corner to the others
-    normals = np.cross(edges[:, 0], edges[:, 1]).astype(np.float64)
+    first_edges = vertices[:, 1] - vertices[:, 0]
+    second_edges = vertices[:, 2] - vertices[:, 0]
+    normals = np.cross(first_edges, second_edges).astype(np.float64)
     norms = np.linalg.norm(normals, axis=1, keepdims=True)
     triangles["normal"] = normals / np.where(norms > 0, norms, 1.0)
     triangles["corners"] = vertices
     if mesh.colours is not None:
         # Five bits each, blue the lowest; the sixteenth says that they hold.
         shares = mesh.colours[corners].mean(axis=1) / 255
-        red, green, blue = np.rint(shares * 31).astype(np.uint16).T
+        five_bits = np.rint(shares * 31).astype(np.uint16)
+        red, green, blue = five_bits.T
         triangles["colour"] = 1 << 15 | red << 10 | green << 5 | blue
     title = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}"
     header = title.encode("ascii", "replace")
@@ -140,7 +150,9 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
     """
     mesh = mesh_of(surface, params)
     n_cells = len(mesh.quads)
-    active_scalars = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
+    active_scalars = ""  # the map that programs show first
+    if mesh.maps:
+        active_scalars = f" Scalars={quoteattr(next(iter(mesh.maps)))}"
     # Two dashes would end a comment.
     comment = f"{mesh.description} {history.json()}".replace("--", "- -")
     with path.open("w", encoding="utf-8", newline="\n") as file:
@@ -161,14 +173,22 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
         file.write("</PointData>\n</Piece></UnstructuredGrid>\n</VTKFile>\n")
 
 
+_VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}  # by numpy's code
+
+
 def _write_vtk_array(file: IO[str], name: str, array: Array) -> None:
-    vtk_type = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[array.dtype.str[1:]]
-    components_attr = ' NumberOfComponents="3"' if name == "Points" else ""
+    """Write an array as an element of VTK's XML: its length in bytes and its bytes in base 64."""
+    vtk_type = _VTK_TYPES[array.dtype.str[1:]]
+    components_attr = ""
+    if name == "Points":
+        components_attr = ' NumberOfComponents="3"'
     file.write(
         f'<DataArray type="{vtk_type}" Name={quoteattr(name)}{components_attr} format="binary">\n'
     )
     data_bytes = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
-    file.write(base64.b64encode(len(data_bytes).to_bytes(8, "little") + data_bytes).decode("ascii"))
+    length_bytes = len(data_bytes).to_bytes(8, "little")
+    encoded = base64.b64encode(length_bytes + data_bytes)
+    file.write(encoded.decode("ascii"))
     file.write("\n</DataArray>\n")
 
 
@@ -179,10 +199,13 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     """
     frame = Frame.of(surface.data)
     row_step, col_step = steps_of(surface.data, params.mesh_um)
-    nodes = surface.data.isel(y=slice(None, None, row_step), x=slice(None, None, col_step))
+    rows = slice(None, None, row_step)
+    cols = slice(None, None, col_step)
+    nodes = surface.data.isel(y=rows, x=cols)
     heights = nodes[surface.name].values
     is_node = np.isfinite(heights)
-    node_index = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
+    # Places (y, x) that have a node are counted row by row: its number among the points.
+    node_index = np.cumsum(is_node).reshape(is_node.shape) - 1
     corners = [CORNERS[k] for k in (0, 1, 3, 2)]  # around the cell
     is_cell = np.all([is_node[corner] for corner in corners], axis=0)
     if not is_cell.any():
@@ -234,9 +257,10 @@ def _colours(values: Array, scale: Scale) -> NDArray[np.uint8]:
     """Colours of values on a scale, grey where they are missing."""
     from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
 
-    shares = (values.astype(np.float64) - scale.low) / (scale.high - scale.low)
-    colours = colormap_of(scale)(np.clip(shares, 0, 1), bytes=True)[:, :3]
-    return np.where(np.isfinite(shares)[:, None], colours, (212, 214, 216)).astype(np.uint8)
+    fractions = scale.fractions(values)
+    colours = colormap_of(scale)(np.clip(fractions, 0, 1), bytes=True)
+    is_known = np.isfinite(fractions)[:, None]
+    return np.where(is_known, colours[:, :3], _GREY).astype(np.uint8)
 
 
 def steps_of(columns: xr.Dataset, mesh_um: float | None) -> Shape2D:
@@ -247,9 +271,12 @@ def steps_of(columns: xr.Dataset, mesh_um: float | None) -> Shape2D:
     if mesh_um is None:
         return 1, 1
     row_um, col_um = pitch(columns)
-    if mesh_um < 0.999 * max(row_um, col_um):
+    column_um = max(row_um, col_um)
+    if mesh_um < 0.999 * column_um:  # a pitch is rounded where it is written
         raise StudyError(
-            f"`mesh_um={mesh_um:g}` is less than a column of {max(row_um, col_um):g} um. Give a"
-            " multiple of it."
+            f"`mesh_um={mesh_um:g}` is less than a column of {column_um:g} um. Give a multiple of"
+            " it."
         )
-    return max(1, round(mesh_um / row_um)), max(1, round(mesh_um / col_um))
+    n_rows = max(1, round(mesh_um / row_um))
+    n_cols = max(1, round(mesh_um / col_um))
+    return n_rows, n_cols

@@ -16,7 +16,7 @@ from planish.core.files import write_text
 from planish.core.grid import Grid
 from planish.core.transform import Affine, grid_points
 from planish.core.typing import Array, Bools, Floats, Ints, Pair, Shape2D, Texts, pair_of
-from planish.exports.content import CORNERS, ExportHistory, Maps, plain_type
+from planish.exports.content import CORNERS, ExportHistory, Maps
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
 
@@ -326,7 +326,7 @@ def write_nrrd(
     else:
         (name,) = content.names
         title = content.titles[name]
-        dtype = plain_type(content.data[name].dtype)
+        dtype = content.dtype_of(name)
         components = []
         shape = content.shape
         y, x = content.origin_um

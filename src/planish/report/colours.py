@@ -67,11 +67,15 @@ class Scale:
     high: float
     colours: str = PROPERTY
 
+    def fractions(self, values: ArrayLike) -> Array:
+        """Return the place of each value between the limits: 0 is the lower one, 1 the upper."""
+        return (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
+
     def shades(self, values: ArrayLike) -> NDArray[np.uint8]:
         """Return the index of each value's colour; the last one is for missing values."""
-        fraction = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
-        shade_indices = np.rint(np.clip(fraction, 0.0, 1.0) * (_SHADES - 1))
-        return np.where(np.isfinite(fraction), shade_indices, _SHADES).astype(np.uint8)
+        fractions = self.fractions(values)
+        shade_indices = np.rint(np.clip(fractions, 0.0, 1.0) * (_SHADES - 1))
+        return np.where(np.isfinite(fractions), shade_indices, _SHADES).astype(np.uint8)
 
 
 def limits(
