@@ -21,7 +21,9 @@ from planish.measure.registry import Measured
 if TYPE_CHECKING:
     from planish.core.tiles import Engine
 
-_SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
+ShareOf = Callable[[Rays, Floats, Floats], Measured]
+"""Share of a phase between two places (rows, cols) of each ray."""
+_SHARES: dict[str, tuple[ShareOf, str]] = {
     "porosity": (share_of_void, "Porosity of the base"),
     "filler": (share_of_filler, "Filler in the base"),
 }
@@ -32,20 +34,23 @@ def _layer_sums(
 ) -> Floats:
     """Give number, sum and sum of squares of each share in each layer by row.
 
-    The shape is (names, layers, 3, rows).
+    The shape is (names, layers, 3, rows). ``layer_edges``: relative depths of the layers' borders,
+    from 0 at the bottom interface to 1 at the top one. ``halo_rays``: those of a tile, of which
+    ``tile_rows`` are counted; the last argument, their rows in the sheet, plays no part.
     """
     # Rows are summed by themselves, then added in the same order however they were cut.
     rays = halo_rays.rows(tile_rows)
     base_um = rays.interface_top - rays.interface_bottom
     edge_um = [rays.interface_bottom + edge * base_um for edge in layer_edges]
-    layer_sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
-    for sums_of_name, name in zip(layer_sums, names, strict=True):
-        for sums, (lower, upper) in zip(sums_of_name, pairwise(edge_um), strict=True):
-            share = _SHARES[name][0](rays, lower, upper).values
+    layer_sums: list[list[Floats]] = []
+    for name in names:
+        share_of, _title = _SHARES[name]
+        for lower, upper in pairwise(edge_um):
+            share = share_of(rays, lower, upper).values
             is_valid = np.isfinite(share) & (rays.status == 0)
             share = np.where(is_valid, share, 0.0)
-            sums[:] = [values.sum(axis=1) for values in (is_valid, share, share**2)]
-    return layer_sums
+            layer_sums.append([values.sum(axis=1) for values in (is_valid, share, share**2)])
+    return np.reshape(layer_sums, (len(names), -1, 3, len(base_um)))
 
 
 def depth_profiles(
@@ -108,17 +113,16 @@ def depth_profiles(
     middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
     interface_depth = np.minimum(middle_depth, 1 - middle_depth)
     is_blurred = interface_depth < 2 * frame.greys.blur_um / base_um
-    attrs = {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"}
-    profiles = xr.Dataset(
-        coords={"depth": ("depth", middle_depth, attrs)},
-        attrs={"base_um": base_um, "rays": frame.params.rays},
-    )
+    depth_attrs = {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"}
+    coords = {"depth": ("depth", middle_depth, depth_attrs)}
+    attrs = {"base_um": base_um, "rays": frame.params.rays}
+    profiles = xr.Dataset(coords=coords, attrs=attrs)
     for a, name in enumerate(names):
-        title = _SHARES[name][1]
+        _, title = _SHARES[name]
         sd_title = f"{title}, standard deviation of rays"
         profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
         profiles[f"{name}_sd"] = "depth", sd[a], {"units": "1", "long_name": sd_title}
         profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
     blur_attrs = {"long_name": "Within two blurs of an interface"}
-    profiles["blurred"] = "depth", is_blurred.astype(np.float64), blur_attrs
+    profiles["blurred"] = "depth", is_blurred.astype(float), blur_attrs
     return profiles

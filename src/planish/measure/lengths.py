@@ -8,13 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
 from planish.core.robust import masked_gaussian
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Codes, Floats, Pair, ThreeFields
 from planish.measure.greys import Greys
 from planish.measure.options import Common
 from planish.measure.registry import (
@@ -75,7 +74,7 @@ def _check_ink(params: InkOptions, _greys: Greys) -> None:
 
 
 @cached
-def _depths(rays: Rays) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+def _depths(rays: Rays) -> tuple[Floats, Floats, Codes]:
     """Depths of 50, 90 and 95 % of the ink (3, rows, cols), their standard error, and reasons."""
     from planish.measure import _ray_kernels
 
@@ -91,7 +90,7 @@ def _depths(rays: Rays) -> tuple[Floats, Floats, NDArray[np.uint8]]:
     depth, total = _ray_kernels.depths_of_shares(*rays.profiles, rays.top, limit, low, high, shares)
     # Ink that is still there where the search ends may go deeper: its shares are not known.
     near, _ = rays.length(limit, limit + step_um, least=low, most=high)
-    reason = np.zeros(total.shape, dtype=np.uint8)
+    reason = np.zeros(total.shape, np.uint8)
     reason[near > 0.5 * step_um] = AT_LIMIT
     reason[total < rays.voxel_um] = NO_INK
     se = np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low))
@@ -242,7 +241,7 @@ def thickness_envelope(sheet: Sheet) -> Measured:
 
 
 @cached
-def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
+def _layer(rays: Rays, side: Side) -> ThreeFields:
     """Return t_sum, t_env and the standard error of both of the coating of one side."""
     from planish.measure import _ray_kernels
     from planish.measure.uncertainty import face_errors

@@ -15,7 +15,7 @@ import numpy as np
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option, option_names
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Texts
 from planish.measure.greys import FWHM, Greys
 from planish.measure.lengths import smoothed
 from planish.measure.options import Common
@@ -182,7 +182,7 @@ def _weight_check(params: Options, greys: Greys, side: Side) -> None:
         greys.need_absorption(f"Coat weight, {side} side,")
 
 
-def _layer(params: Options, _greys: Greys, side: Side) -> tuple[str, ...]:
+def _layer(params: Options, _greys: Greys, side: Side) -> Texts:
     if params.coat_weight_from == "thickness":
         return (f"coating_{side}",)
     return (f"coating_absorption_{side}",)
@@ -279,7 +279,7 @@ def _has_masses(params: Options, greys: Greys) -> bool:
     return params.grammage_g_m2 is not None or has_densities
 
 
-def _sources(params: Options, greys: Greys) -> tuple[str, ...]:
+def _sources(params: Options, greys: Greys) -> Texts:
     coated_sides: list[Side] = [side for side in SIDES if greys.coated(side)]
     is_separable = params.coating_g_cm3 or None not in map(params.coat_weight, coated_sides)
     if not coated_sides or (params.grammage_g_m2 is not None and not is_separable):

@@ -21,7 +21,7 @@ from planish.core.facts import (
 from planish.core.grid import pitch
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Entries, Floats, Pair
 from planish.measure.depth_profiles import depth_profiles
 from planish.measure.form import above_form
 from planish.measure.lengths import check_filters, without_short
@@ -68,13 +68,13 @@ def thin_fraction(
         If no value is known.
     """
     is_finite = np.isfinite(thickness.values)
-    sorted_um = np.sort(thickness.values[is_finite].astype(np.float64))
+    sorted_um = np.sort(thickness.values[is_finite].astype(float))
     if sorted_um.size == 0:
         raise CannotMeasure(
             "There is no coating thickness to count: all values are missing. Look at 'status'."
         )
     x = np.arange(0.0, float(sorted_um[-1]) + 0.25, 0.25)
-    marks = np.array(marked_um, dtype=np.float64)
+    marks = np.array(marked_um, np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
     limits_um = np.where(marks > 0, marks, np.nextafter(0.0, 1.0))
     masks = [thickness.values < limit_um for limit_um in limits_um]
@@ -82,10 +82,11 @@ def thin_fraction(
     marked_se = [_share_se(mask, is_finite, pitch(thickness)) for mask in masks]
     value_se_um = np.zeros(marks.size)
     if se is not None:
-        se_um = np.where(is_finite, se, np.nan).astype(np.float64)
+        se_um = np.where(is_finite, se, np.nan).astype(float)
         value_se_um[:] = [_se_near(mark, thickness.values, se_um) for mark in marks]
     is_biased = marks < 2 * value_se_um
-    attrs: dict[str, object] = {"n": int(sorted_um.size), "mean_um": float(sorted_um.mean())}
+    attrs: Entries = {"n": sorted_um.size}
+    attrs["mean_um"] = float(sorted_um.mean())
     if "support_um" in thickness.attrs:
         attrs["support_um"] = float(thickness.attrs["support_um"])
     if is_biased.any():
@@ -99,18 +100,15 @@ def thin_fraction(
     share_attrs = {"units": "1", "long_name": "Share of the area with a thinner coating"}
     value_attrs = {"units": "um", "long_name": "Standard error of one value"}
     bias_attrs = {"long_name": "Thickness below two standard errors of one value"}
-    variables = {
-        "share": ("thickness", share, share_attrs),
-        "marked_share": ("marked", marked_share, share_attrs),
-        "marked_se": ("marked", marked_se, {"units": "1"}),
-        "value_se": ("marked", value_se_um, value_attrs),
-        "biased": ("marked", is_biased.astype(np.uint8), bias_attrs),
-    }
-    coords = {
-        "thickness": ("thickness", x, {"units": "um"}),
-        "marked": ("marked", marks, {"units": "um"}),
-    }
-    return xr.Dataset(variables, coords=coords, attrs=attrs)
+    um = {"units": "um"}
+    coords = {"thickness": ("thickness", x, um), "marked": ("marked", marks, um)}
+    shares = xr.Dataset(coords=coords, attrs=attrs)
+    shares["share"] = "thickness", share, share_attrs
+    shares["marked_share"] = "marked", marked_share, share_attrs
+    shares["marked_se"] = "marked", marked_se, {"units": "1"}
+    shares["value_se"] = "marked", value_se_um, value_attrs
+    shares["biased"] = "marked", is_biased.astype(np.uint8), bias_attrs
+    return shares
 
 
 def _se_near(mark_um: float, thickness_um: Floats, se_um: Floats) -> float:
@@ -124,8 +122,10 @@ def _se_near(mark_um: float, thickness_um: Floats, se_um: Floats) -> float:
 
 def _share_se(is_thin: Bools, is_known: Bools, pitch_um: Pair) -> float:
     """Standard error of a share, sqrt(F (1 - F) / n_eff), from the covariances by lag."""
+    # Means of k x k columns, of which there are no more than _MOST_CELLS.
     k = math.ceil(math.sqrt(is_known.size / _MOST_CELLS))
-    cells = area_mean(np.where(is_known, is_thin, np.nan), (k, k))
+    thin_or_not = np.where(is_known, is_thin, np.nan)
+    cells = area_mean(thin_or_not, (k, k))
     lags = Lags(np.isfinite(cells), pitch_um)
     variance = lags.variance_of_mean(covariance_of(cells, lags))
     return math.sqrt(max(variance, 0.0))
@@ -153,7 +153,7 @@ def roughness_numbers(
     CannotMeasure
         If it is empty or flat.
     """
-    h = limited[np.isfinite(limited)]
+    h = limited[np.isfinite(limited)]  # ISO 25178-2 writes it for the height
     if h.size < 2:
         raise CannotMeasure("No height of the face is known. Look at 'status'.")
     h = h - h.mean()
@@ -170,14 +170,18 @@ def roughness_numbers(
             f"Of the face {h.size} heights are known, none with neighbours on all sides: it has no"
             " slopes. Look at 'status'."
         )
+    sa = float(np.mean(np.abs(h)))
+    ssk = float(np.mean(h**3)) / sq**3
+    sku = float(np.mean(h**4)) / sq**4
+    sdq = float(np.sqrt(np.mean(squared_slope)))
     return RoughnessFacts(
-        sa=float(np.mean(np.abs(h))),
+        sa=sa,
         sq=sq,
-        ssk=float(np.mean(h**3)) / sq**3,
-        sku=float(np.mean(h**4)) / sq**4,
-        sz=float(h.max() - h.min()),
-        sdq=float(np.sqrt(np.mean(squared_slope))),
-        n=int(h.size),
+        ssk=ssk,
+        sku=sku,
+        sz=float(np.ptp(h)),
+        sdq=sdq,
+        n=h.size,
         s_filter_um=s_filter_um,
         l_filter_um=l_filter_um,
     )
@@ -210,19 +214,19 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
         names = [f"{pair}_{side}" for side in SIDES]
         if not set(names) <= set(maps):
             continue
-        top, bottom = (maps[name].values.astype(np.float64) for name in names)
-        is_finite = np.isfinite(top) & np.isfinite(bottom)
-        top = top[is_finite]
-        bottom = bottom[is_finite]
+        both_um = np.array([maps[name].values for name in names], np.float64)
+        top, bottom = both_um[:, np.isfinite(both_um).all(axis=0)]
         if top.size < 3:
             continue
         top_sd = float(top.std())
         bottom_sd = float(bottom.std())
         numbers[f"{pair}_difference_um"] = float(top.mean() - bottom.mean())
         numbers[f"{pair}_sd_ratio"] = top_sd / bottom_sd if bottom_sd > 0 else np.nan
-        r = np.corrcoef(top, bottom)[0, 1] if min(top_sd, bottom_sd) > 0 else np.nan
+        # A face that is the same everywhere has no correlation with the other.
+        is_varied = min(top_sd, bottom_sd) > 0
+        r = np.corrcoef(top, bottom)[0, 1] if is_varied else np.nan
         numbers[f"{pair}_correlation"] = float(r)
-        numbers[f"{pair}_n"] = int(top.size)
+        numbers[f"{pair}_n"] = top.size
     if not numbers:
         raise CannotMeasure(
             "Two-sidedness needs coating_top and coating_bottom, or topography_top and"
@@ -260,7 +264,7 @@ def sheet_numbers(
             values={name: _numbers(shares[name]) for name in profile_names},
         )
     coated_sides: list[Side] = [
-        side for side in SIDES if np.isfinite(measured[f"coating_{side}"].values).any()
+        side for side in SIDES if measured[f"coating_{side}"].notnull().any()
     ]
     thin = map_threads(_thin_facts, repeat(measured), coated_sides)
     roughness = map_threads(_roughness_of_side, repeat(measured), SIDES, repeat(params))

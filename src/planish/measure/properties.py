@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.arrays import check_dataset, check_volume
 from planish.core.errors import CannotMeasure, InputError, ResourceError
@@ -24,7 +23,7 @@ from planish.core.plugins import faults_named
 from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Engine
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Codes, Floats, NamedFields, Shape
 from planish.measure.form import F_OPERATOR, above_form
 from planish.measure.greys import FWHM, Greys
 from planish.measure.params import MeasureParams
@@ -51,7 +50,7 @@ from planish.measure.uncertainty import SharedNoise, common_errors, ray_noise, t
 T = TypeVar("T")
 #: Standard error of each thickness (rows, cols) and what averaging does not lessen of it, um, and
 #: the area that one independent value stands for, um2.
-Errors = tuple[dict[str, Floats], dict[str, float], float]
+Errors = tuple[NamedFields, dict[str, float], float]
 _SEEN_THROUGH = 2.5  # widths of the blur: a thicker layer shows its own grey in its middle
 
 
@@ -179,16 +178,14 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
     return measured.assign(variables)
 
 
-def _add_open_errors(
-    measured: xr.Dataset, errors: dict[str, Floats], common: dict[str, float]
-) -> None:
+def _add_open_errors(measured: xr.Dataset, errors: NamedFields, common: dict[str, float]) -> None:
     """Add what corrections and greys leave open; a wrong grey moves all columns alike."""
     level_um = 0.0
     for side in SIDES:
         coating = f"coating_{side}"
         for source in (f"correction_{side}_error", f"level_{side}_error"):
             if source in measured:
-                source_um = np.nan_to_num(measured[source].values.astype(np.float64))
+                source_um = np.nan_to_num(measured[source].values.astype(float))
                 for name in (coating, "base_thickness", "thickness"):
                     errors[name] = np.hypot(errors[name], source_um)
                 level_um += float(measured[source].attrs.get("common_um", 0.0))
@@ -380,7 +377,7 @@ def measure_along_rays(
 def _measure_tile(
     by_halo: Mapping[int, Sequence[Property]],
     maps: Mapping[str, Measured],
-    status: NDArray[np.uint8],
+    status: Codes,
     tile: Rays,
     inner_rows: slice,
     sheet_rows: slice,
@@ -456,7 +453,7 @@ def _halo(prop: Property, frame: RayFrame) -> int:
     return 0
 
 
-def _measured(prop: Property, rays_or_sheet: Rays | Sheet, shape: tuple[int, ...]) -> Measured:
+def _measured(prop: Property, rays_or_sheet: Rays | Sheet, shape: Shape) -> Measured:
     with faults_named(f"The property {prop.name!r}", prop.function.__module__):
         answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
@@ -472,7 +469,7 @@ def _measured(prop: Property, rays_or_sheet: Rays | Sheet, shape: tuple[int, ...
 
 
 def _variables(
-    prop: Property, answer: Measured, status: NDArray[np.uint8], frame: RayFrame
+    prop: Property, answer: Measured, status: Codes, frame: RayFrame
 ) -> dict[str, xr.Variable]:
     """Give a property and its standard error as they are stored.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -18,17 +18,28 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.labelled import read_box
 from planish.core.status import Status
-from planish.core.typing import Bools, Floats, Pair, pair_of
+from planish.core.typing import (
+    Bools,
+    Codes,
+    Entries,
+    Floats,
+    NamedFields,
+    Pair,
+    Singles,
+    TwoFields,
+    pair_of,
+)
 from planish.measure import _ray_kernels
 from planish.measure.greys import Greys
 from planish.measure.options import Common
 
-Grey = NDArray[np.float32]
 Ends = NDArray[np.int32]  # of a phase on each ray
 Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
 CUTOFF_UM = 400.0  # of a centre surface that does not state its own
 FACES = ("top", "bottom", "interface_top", "interface_bottom")
+# What the rays of a tile have in common with those of the whole sheet.
+_SHARED = ("pitch_um", "voxel_um", "greys", "params", "noise_um", "mean_stretch")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +51,7 @@ class Rays:
 
     #: (rows, cols, s) float32; NaN outside the volume, beside missing voxels, on rays without a
     #: status of 0.
-    grey: Grey
+    grey: Singles
     s_um: Floats  #: (s,), the same for all rays, in equal steps
     top: Floats  #: place of the face, (rows, cols)
     bottom: Floats  #: as ``top``
@@ -55,7 +66,7 @@ class Rays:
     #: (rows, cols), um of ray for one along the normal: 1 on normals, 1 / cos(tilt) on vertical
     #: rays.
     oblique: Floats
-    status: NDArray[np.uint8]  #: (rows, cols)
+    status: Codes  #: (rows, cols)
     pitch_um: Pair  #: between rows and between columns, in projection
     voxel_um: float  #: along the axis through the sheet
     greys: Greys
@@ -79,7 +90,7 @@ class Rays:
         return self.oblique * edge_um
 
     @property
-    def core(self) -> tuple[Floats, Floats]:
+    def core(self) -> TwoFields:
         """Lower and upper end of the base without its edges."""
         return self.interface_bottom + self.edge_um, self.interface_top - self.edge_um
 
@@ -88,15 +99,17 @@ class Rays:
         return (self.s_um >= lower[..., None]) & (self.s_um <= upper[..., None])
 
     def samples_within(self, lower: Floats, upper: Floats, *, more: int = 0) -> slice:
-        """Samples that lie between two places on any of the rays, and ``more`` on both sides."""
+        """Samples that lie between two places on any of the rays, and ``more`` on both sides.
+
+        At least one sample, even where no ray has both places.
+        """
         is_finite = np.isfinite(lower) & np.isfinite(upper)
         if not is_finite.any():
             return slice(0, 1 + more)
-        lowest_um = lower[is_finite].min()
-        highest_um = upper[is_finite].max()
-        first = max(int(np.searchsorted(self.s_um, lowest_um, side="left")) - more, 0)
-        last = int(np.searchsorted(self.s_um, highest_um, side="right")) + more
-        return slice(first, max(min(last, self.s_um.size), first + 1))
+        first = int(np.searchsorted(self.s_um, lower[is_finite].min())) - more
+        stop = int(np.searchsorted(self.s_um, upper[is_finite].max(), side="right")) + more
+        first = max(first, 0)
+        return slice(first, max(min(stop, self.s_um.size), first + 1))
 
     def integral(self, lower: Floats, upper: Floats) -> Floats:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols).
@@ -107,7 +120,7 @@ class Rays:
         return grey_integral - self.greys.air * np.maximum(upper - lower, 0.0)
 
     @property
-    def profiles(self) -> tuple[Grey, float, float]:
+    def profiles(self) -> tuple[Singles, float, float]:
         """Grey along the rays, place of the first sample and step in um, as kernels take them."""
         return self.grey, float(self.s_um[0]), self.step_um
 
@@ -159,7 +172,7 @@ class Rays:
 
     def integral_se(self, length: Floats | float) -> Floats:
         """Standard error of an integral over ``length`` um: sqrt(noise_um * length)."""
-        return np.sqrt(self.noise_um * np.maximum(np.asarray(length, dtype=np.float64), 0.0))
+        return np.sqrt(self.noise_um * np.maximum(np.asarray(length, np.float64), 0.0))
 
     def cached(self, key: str, work: Callable[[], T]) -> T:
         """Return the outcome of ``work``, worked out once for these rays.
@@ -173,26 +186,27 @@ class Rays:
     def rows(self, part: slice) -> Rays:
         """Return some of the rows."""
         arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
-        cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
+        cut: Entries = {name: getattr(self, name)[part] for name in arrays}
         return replace(self, **cut)
 
 
-def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict[str, Floats]]:
+def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[NamedFields, NamedFields]:
     """Find where the rays meet the faces.
 
     SurfaceError where a surface is missing or the top lies below the bottom.
 
     Gives the heights of ``centre`` and the faces (rows, cols), um, up towards the top, and the
     signed distances of the faces along the rays. An interface of a side without a coating is its
-    face, the same array.
+    face, the same array. NaN where there is no surface, or where a ray does not meet it.
     """
     names = (*FACES, "centre")
     if lacking := [name for name in (*names, "status") if name not in surfaces]:
         raise SurfaceError(
             f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
         )
+    # +1 where the top side lies at the high end of the axis through the sheet, else -1.
     up_sign = Frame.of(surfaces).sign
-    heights = {name: up_sign * surfaces[name].values.astype(np.float64) for name in names}
+    heights = {name: up_sign * surfaces[name].values.astype(float) for name in names}
     inverted_count = np.count_nonzero(heights["top"] < heights["bottom"])
     if inverted_count:
         raise SurfaceError(
@@ -202,16 +216,15 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
     pitch_um = pitch(surfaces)
     normals = directions(slopes_of(centre_um, pitch_um), rays)
     components = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
-    faces: dict[str, Floats] = {}
+    faces: NamedFields = {}
     for name in FACES:
-        if name.startswith("interface") and not np.isfinite(heights[name]).any():
+        height_um = heights[name]
+        if name.startswith("interface") and not np.isfinite(height_um).any():
             faces[name] = faces[name.removeprefix("interface_")]
         elif rays == "vertical":
-            faces[name] = heights[name] - centre_um
+            faces[name] = height_um - centre_um
         else:
-            faces[name] = _ray_kernels.along_normals(
-                heights[name], centre_um, *components, *pitch_um
-            )
+            faces[name] = _ray_kernels.along_normals(height_um, centre_um, *components, *pitch_um)
     return heights, faces
 
 
@@ -220,37 +233,36 @@ class RayFrame:
     """Where the rays of a whole sheet lie and meet its faces.
 
     What a tile needs to be cut out of the volume.
-
-    ``heights`` and ``faces`` are as :func:`meet` gives them. ``low``, ``high``: first and last
-    sample; sample k lies at k * step_um. ``wide``: voxels along the edge of a column of the
-    surfaces.
     """
 
     frame: Frame
-    heights: dict[str, Floats]
-    faces: dict[str, Floats]
-    status: NDArray[np.uint8]
-    pitch_um: Pair
-    voxel_um: float
-    step_um: float
-    low: int
-    high: int
+    heights: NamedFields  # of the centre surface and the faces, as :func:`meet` gives them
+    faces: NamedFields  # places of the faces along the rays, likewise
+    status: Codes  # (rows, cols)
+    pitch_um: Pair  # between rows and between columns of the surfaces
+    voxel_um: float  # along the axis through the sheet
+    step_um: float  # between samples of a ray: sample k lies at k * step_um
+    low: int  # first sample, below the centre surface and so negative
+    high: int  # last sample
     greys: Greys
     params: Common
+    # Of a step along rows and along columns: its mean length in the centre surface over its own.
     mean_stretch: Pair
-    column_px: int
+    column_px: int  # voxels along the edge of a column of the surfaces
     cutoff_um: float  # of the centre surface
+    # Variance of the grey's integral over one um of ray, from the noise; NaN: not known yet.
     noise_um: float = float("nan")
 
     @classmethod
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: Common) -> RayFrame:
         """Find where every ray meets the faces.
 
-        Of the volume only size and coordinates are looked at.
+        Of the volume only size and coordinates are looked at. A ray that does not meet both faces
+        and interfaces gets a status of its own; SurfaceError if volume and surfaces do not belong
+        together, CannotMeasure if no ray meets both faces.
         """
         heights, faces = meet(surfaces, params.rays)
         frame = Frame.of(surfaces)
-        pitch_um = pitch(surfaces)
         volume_rows = volume.sizes[frame.rows]
         volume_cols = volume.sizes[frame.cols]
         rows, cols = surfaces["centre"].shape
@@ -264,26 +276,28 @@ class RayFrame:
         voxel_um = abs(float(through_um[1] - through_um[0]))
         step_um = 0.5 * voxel_um  # a longer step loses what the voxels show
         greys = Greys.of(surfaces)
-        margin_um = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
         status = surfaces["status"].values.astype(np.uint8)
         top = faces["top"]
         bottom = faces["bottom"]
-        is_whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
+        is_whole = (status == 0) & np.isfinite(top - bottom)
         if is_whole.any():
             # A face so many thicknesses from the centre surface is not this ray's.
             reach_um = 1.5 * float(np.median((top - bottom)[is_whole]))
             is_whole &= (np.abs(top) < reach_um) & (np.abs(bottom) < reach_um)
-            is_whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
+            is_whole &= np.isfinite(faces["interface_top"] - faces["interface_bottom"])
         if not is_whole.any():
             raise CannotMeasure(
                 "No ray of the centre surface meets both faces. Look at the surfaces in the report."
             )
         status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
+        # The rays go on beyond the faces until the blur has ended and air begins.
+        margin_um = 3 * greys.blur_um + 6 * voxel_um
         lowest_um = float(bottom[is_whole].min()) - margin_um
         highest_um = float(top[is_whole].max()) + margin_um
+        pitch_um = pitch(surfaces)
         slope = slopes_of(heights["centre"], pitch_um)
-        known_slope = slope[np.isfinite(slope).all(axis=-1)]
-        stretch = np.sqrt(1 + known_slope**2).mean(axis=0)
+        has_slope = np.isfinite(slope).all(axis=-1)
+        stretch = np.sqrt(1 + slope[has_slope] ** 2)
         return cls(
             frame=frame,
             heights=heights,
@@ -298,7 +312,7 @@ class RayFrame:
             params=params,
             column_px=column_px,
             cutoff_um=float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)),
-            mean_stretch=pair_of(stretch),
+            mean_stretch=pair_of(stretch.mean(axis=0)),
         )
 
     @property
@@ -317,69 +331,81 @@ class RayFrame:
         return secant(slope)
 
     def tile(self, volume: xr.DataArray, rows: slice) -> Rays:
-        """Straighten some rows; only the voxels that they need are read."""
+        """Straighten some rows; only the voxels that they need are read.
+
+        ``rows`` may reach beyond the sheet, which has none there. Rays that leave the volume or
+        meet a voxel without a value, and those without enough contrast to be sheet, get a status.
+        """
         start, stop, _ = rows.indices(self.status.shape[0])
         rows = slice(start, stop)
         slope = self.slopes(rows)
         normals = directions(slope, self.params.rays)
         status = self.status[rows].copy()
         is_whole = status == 0
-        faces = {
-            name: np.where(is_whole, values[rows], np.nan) for name, values in self.faces.items()
-        }
+        faces: NamedFields = {}
+        for name, place_um in self.faces.items():
+            faces[name] = np.where(is_whole, place_um[rows], np.nan)
+        shared = {name: getattr(self, name) for name in _SHARED}
         tile = Rays(
             grey=self._grey(volume, rows, normals, is_whole),
-            s_um=self.step_um * np.arange(self.low, self.high + 1, dtype=np.float64),
+            s_um=self.step_um * np.arange(self.low, self.high + 1.0),
             **faces,
             normals=normals,
             stretch=np.sqrt(1 + slope**2),
             slope=slope,
             oblique=self.oblique(slope),
             status=status,
-            pitch_um=self.pitch_um,
-            voxel_um=self.voxel_um,
-            greys=self.greys,
-            params=self.params,
-            noise_um=self.noise_um,
             mirrored=self.frame.mirrored,
-            mean_stretch=self.mean_stretch,
+            **shared,
         )
         grey_integral = tile.integral(tile.bottom, tile.top)
         status[(status == 0) & ~np.isfinite(grey_integral)] = Status.RAY_LEAVES_VOLUME
+        # The mean grey of the sheet on a ray is a quarter of the base's or more.
         contrast = self.greys.base - self.greys.air
         mean_grey = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9)
         status[(status == 0) & (mean_grey / contrast < 0.25)] = Status.LOW_CONTRAST
         return tile
 
-    def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, is_wanted: Bools) -> Grey:
-        """Grey values along the wanted rays of some rows, from the box of voxels around them."""
-        grey = np.full((*is_wanted.shape, self.samples), np.nan, dtype=np.float32)
+    def _grey(
+        self, volume: xr.DataArray, rows: slice, normals: Floats, is_wanted: Bools
+    ) -> Singles:
+        """Grey values (rows, cols, samples) along the wanted rays of some rows.
+
+        From the box of voxels around them; NaN on other rays and outside the volume. ``normals``
+        (rows, cols, 3): directions of the rays along rows, columns and height. ``is_wanted`` (rows,
+        cols).
+        """
+        grey = np.full((*is_wanted.shape, self.samples), np.nan, np.float32)
         if not is_wanted.any():
             return grey
         frame = self.frame
         column_px = self.column_px
-        through = volume.coords[frame.through].values
-        voxel_um = float(through[1] - through[0])
-        depth = (frame.sign * self.heights["centre"][rows] - float(through[0])) / voxel_um
+        through_um = volume.coords[frame.through].values
+        voxel_um = float(through_um[1] - through_um[0])
+        # Heights grow towards the top, indices along the axis through the sheet.
+        centre_um = frame.sign * self.heights["centre"][rows]
+        depth_px = (centre_um - float(through_um[0])) / voxel_um
+        # Voxels along each axis of the volume for one um of a ray.
         steps = [normals[..., axis] * column_px / self.pitch_um[axis] for axis in (0, 1)]
         steps.append(frame.sign * normals[..., 2] / voxel_um)
-        # The box around both ends of all rays, in voxels.
+        # A ray starts in the middle of its column.
         middle_px = 0.5 * (column_px - 1)
         row_px = column_px * np.arange(rows.start, rows.stop)[:, None] + middle_px
         col_px = column_px * np.arange(is_wanted.shape[1]) + middle_px
         axes = (frame.rows, frame.cols, frame.through)
+        # The box around both ends of all rays, in voxels.
         box: dict[str, slice] = {}
-        for axis, start_px, step in zip(axes, (row_px, col_px, depth), steps, strict=True):
-            first_end = (start_px + self.low * self.step_um * step)[is_wanted]
-            last_end = (start_px + self.high * self.step_um * step)[is_wanted]
+        for axis, start_px, step in zip(axes, (row_px, col_px, depth_px), steps, strict=True):
+            ends = [start_px + k * self.step_um * step for k in (self.low, self.high)]
+            ends_px = np.array(ends)[:, is_wanted]
             n = volume.sizes[axis]
-            first_px = int(np.floor(min(first_end.min(), last_end.min())))
-            last_px = int(np.ceil(max(first_end.max(), last_end.max()))) + 2
+            first_px = int(np.floor(ends_px.min()))
+            stop_px = int(np.ceil(ends_px.max())) + 2
             start = min(max(first_px, 0), n - 1)
-            box[axis] = slice(start, max(min(last_px, n), 1))
+            box[axis] = slice(start, max(min(stop_px, n), 1))
         voxels = np.ascontiguousarray(read_box(volume, box))
         corner = np.array([part.start for part in box.values()])
-        rays = (rows.start, column_px, depth, *steps, is_wanted)
+        rays = (rows.start, column_px, depth_px, *steps, is_wanted)
         samples = (self.low, self.step_um)
         _ray_kernels.resample_rays(voxels, corner, *rays, *samples, self.greys.padding, grey)
         return grey

@@ -24,14 +24,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.axial import has_axes
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import SIDES, Side
 from planish.core.older_names import renamed
 from planish.core.plugins import find_plugin, plugins
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Codes, Entries, Floats, Texts
 from planish.measure.greys import Greys
 from planish.measure.options import Common
 
@@ -90,7 +89,7 @@ SUMS = (
 new."""
 
 _LAYERS = ("coating_top", "coating_bottom", "base_thickness")
-PARTS: dict[str, tuple[str, ...]] = {
+PARTS: dict[str, Texts] = {
     "thickness": (*_LAYERS, "half_thickness_top", "half_thickness_bottom"),
     "base_thickness": ("base_surface_top", "base_surface_bottom"),
     "coating_difference": ("coating_top", "coating_bottom"),
@@ -122,7 +121,7 @@ for _side in SIDES:
     )
 
 
-def shared_parts(a: str, b: str, maps: xr.Dataset) -> tuple[str, ...]:
+def shared_parts(a: str, b: str, maps: xr.Dataset) -> Texts:
     """Return the largest of ``maps`` with values that two maps both contain by construction.
 
     Each contains itself.
@@ -158,7 +157,7 @@ class Measured:
     #: standard error (rows, cols) in the same unit; NaN where it cannot be stated.
     se: Floats | float = np.nan
     #: (rows, cols): 1, 2, ... of the property's own where ``values`` is NaN.
-    reason: NDArray[np.uint8] | int = 0
+    reason: Codes | int = 0
 
     def times(self, factor: float) -> Measured:
         """Return the same in another unit."""
@@ -200,7 +199,7 @@ def cached(function: Callable[Concatenate[Rays, P], T]) -> Callable[Concatenate[
 
 # Functions of a property are given all options of the measurement, and name the model of their own.
 Length = float | Callable[[Any], float]
-After = tuple[str, ...] | Callable[..., tuple[str, ...]]
+After = Texts | Callable[..., Texts]
 Check = Callable[..., object]
 When = Callable[[Any, Greys], bool] | Callable[[Any, Greys, Side], bool]
 Answer = Callable[..., "Floats | Measured"]
@@ -218,7 +217,7 @@ class Property:
     halo_um: Length = 0.0  #: rows beyond a tile that a ray's answer depends on, as a length
     #: width of what one value speaks for; at least one ray, with what the blur adds.
     support_um: Length = 0.0
-    reasons: tuple[str, ...] = ()  #: the property's own reasons for a missing value
+    reasons: Texts = ()  #: the property's own reasons for a missing value
     #: properties that this is made from, or a function from parameters and grey levels to them.
     after: After = ()
     #: Of parameters and grey levels; CannotMeasure, before anything is read, where a number is
@@ -227,9 +226,9 @@ class Property:
     #: Of parameters and grey levels: whether it is measured without being named, as its numbers
     #: are given.
     when: Callable[..., bool] | None = None
-    together: tuple[str, ...] = ()  #: properties that are measured with it where it is named
+    together: Texts = ()  #: properties that are measured with it where it is named
     attrs: dict[str, float] = field(default_factory=dict[str, float])  #: further ones of its map
-    stated: tuple[str, ...] = ()  #: options that its map states where they are given
+    stated: Texts = ()  #: options that its map states where they are given
     #: Whether 0 means none of it, as of lengths and masses: what has a coefficient of variation.
     #: Heights about a form, differences, angles and parts of a direction have no such zero.
     has_true_zero: bool = True
@@ -301,7 +300,7 @@ def _add(added: Property) -> Property:
 
 def _of_side(template: Property, side: Side) -> Property:
     formatted = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
-    bound_functions: dict[str, Any] = {}
+    bound_functions: Entries = {}
     for key in ("function", "after", "check", "when"):
         function = getattr(template, key)
         if callable(function):
@@ -423,7 +422,7 @@ def in_order(names: Sequence[str | Property], params: Common, greys: Greys) -> l
     """
     ordered: dict[str, Property] = {}
 
-    def visit(prop: Property, ancestors: tuple[str, ...]) -> None:
+    def visit(prop: Property, ancestors: Texts) -> None:
         if prop.name in ancestors:
             path_text = " > ".join((*ancestors, prop.name))
             raise CannotMeasure(f"The property '{prop.name}' is made from itself: {path_text}.")

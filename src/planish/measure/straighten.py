@@ -5,11 +5,9 @@ Every sheet lies flat in it.
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import StudyError, SurfaceError
 from planish.core.grid import Grid, bilinear
@@ -17,7 +15,7 @@ from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Array, Floats, NamedFields, Pair, Singles
 from planish.measure.params import MeasureParams
 from planish.measure.rays import RayFrame, directions
 
@@ -91,7 +89,7 @@ def straightened(
 
 def voxels_around(
     volume: xr.DataArray, places_um: Mapping[str, Floats]
-) -> tuple[NDArray[Any], list[Floats]]:
+) -> tuple[Array, list[Floats]]:
     """Read the part of a volume in which places lie, and give the places in it, in voxels."""
     indices: list[Floats] = []
     box: dict[str, slice] = {}
@@ -128,7 +126,7 @@ class _Straightened(LazyArray):
         self.shape = (depths_um.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
 
-    def read(self, where: Where) -> NDArray[Any]:
+    def read(self, where: Where) -> Array:
         """Work out a part, in pieces on threads."""
         depth, rows, cols = where
         row_range = range(self.shape[1])[rows]
@@ -143,7 +141,7 @@ class _Straightened(LazyArray):
 
     def _fill(
         self,
-        grey: NDArray[np.float32],
+        grey: Singles,
         depths_um: Floats,
         row_range: range,
         col_range: range,
@@ -168,7 +166,7 @@ class _Straightened(LazyArray):
         is_inside = np.isfinite([*place_um.values(), *normal.values()]).all(axis=0)
         if not is_inside.any():
             return
-        points_um: dict[str, Floats] = {}
+        points_um: NamedFields = {}
         for axis, um in place_um.items():
             way_um = depths_um[:, None] * normal[axis][is_inside]
             points_um[axis] = um[is_inside] + way_um

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from planish.core.axial import axial_angle
 from planish.core.options import Params, option
-from planish.core.typing import Floats
+from planish.core.typing import Codes, Floats, Singles, ThreeFields, TwoFields
 from planish.measure import phases
 from planish.measure.greys import FWHM
 from planish.measure.phases import LEVELS, void_level
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from planish.measure.rays import Rays
 
 
-Grey3 = NDArray[np.float32]
+Grey3 = Singles
 _CUT = 3.0  # standard deviations of a Gaussian
 _PARTS = ("fibre_cos2", "fibre_sin2")  # an angle has no mean; its two parts do
 
@@ -100,7 +100,7 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
 
 
 @cached
-def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
+def _tensor(rays: Rays, lowest: float, highest: float) -> ThreeFields:
     """Give trace, cosine part and sine part (rows, cols) of the gathered tensor.
 
     It is gathered between two relative depths of the base.
@@ -129,7 +129,7 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     return trace, cosine, sine
 
 
-def _in_tangent_plane(tensor: Sequence[Floats], slope: Floats) -> tuple[Floats, Floats, Floats]:
+def _in_tangent_plane(tensor: Sequence[Floats], slope: Floats) -> ThreeFields:
     """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane.
 
     The result is G^(-1/2) J G^(-1/2).
@@ -150,7 +150,7 @@ def _in_tangent_plane(tensor: Sequence[Floats], slope: Floats) -> tuple[Floats, 
     return turned_xx, turned_yy, turned_xy
 
 
-def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Floats, Floats]:
+def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> TwoFields:
     """Give anisotropy times cosine and sine of the double angle."""
     trace, cosine, sine = _tensor(rays, lowest, highest)
     turn = -1.0 if rays.mirrored else 1.0
@@ -237,7 +237,7 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
 
 
 @cached
-def _voids(rays: Rays) -> tuple[NDArray[np.uint8], Floats]:
+def _voids(rays: Rays) -> tuple[Codes, Floats]:
     """Samples that are void (rows, cols, s), and how many there are on each ray; NaN for none."""
     # Beyond what any base reaches there is no void; one sample more on either side is the wall
     # there.
@@ -253,15 +253,15 @@ def _limit(params: Options) -> float:
     return params.pore_limit_um
 
 
-def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
+def chords(void: Codes, axis: int, most: int) -> NDArray[np.int64]:
     """Sum over each ray's void samples of the run of void along an axis, in steps.
 
     A run counts ``most`` steps to each side.
     """
-    total = np.zeros(void.shape, dtype=np.int16)
+    total = np.zeros(void.shape, np.int16)
     for direction in (slice(None), slice(None, None, -1)):
         void_lines, sums = (np.moveaxis(a, axis, 0)[direction] for a in (void, total))
-        run = np.zeros(void_lines.shape[1:], dtype=np.int16)
+        run = np.zeros(void_lines.shape[1:], np.int16)
         for line, run_sum in zip(void_lines, sums, strict=True):
             run = np.minimum(run + 1, most) * line
             run_sum += run
@@ -293,9 +293,7 @@ def pore_chord(rays: Rays) -> Floats:
     return total / count
 
 
-def distances(
-    void: NDArray[np.uint8], step: tuple[float, float, float], most: float
-) -> NDArray[np.float32]:
+def distances(void: Codes, step: tuple[float, float, float], most: float) -> Singles:
     """Distance of each void sample to the nearest solid one, no more than ``most``.
 
     Um, 0 in the solid.
@@ -303,7 +301,7 @@ def distances(
     from scipy import ndimage
 
     if void.all():
-        return np.full(void.shape, most, dtype=np.float32)
+        return np.full(void.shape, most, np.float32)
     return np.minimum(ndimage.distance_transform_edt(void, sampling=step), most).astype(np.float32)
 
 

@@ -20,7 +20,7 @@ from scipy import special
 
 from planish.core.facts import SIDES, Side
 from planish.core.robust import mad_sd
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, NamedFields, Pair
 from planish.measure.greys import Greys
 from planish.measure.rays import RayFrame, Rays
 
@@ -37,16 +37,19 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     White noise of standard deviation sigma in voxels of v um has sigma^2 v. Noise that neighbours
     share has more: the scatter of means over L um of air, beside the faces of some rows, is read as
     well, var(mean) L; the larger is taken.
+
+    ``volume`` is read in up to six rows of the ``frame``, in which a ray meets both faces. With
+    fewer than 200 means of air the noise is taken for white.
     """
     white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
     spread_indices = np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int)
-    sampled_rows = rows[np.unique(spread_indices)]
+    # Air begins where the blur of a face has ended.
     margin_um = 3 * frame.greys.blur_um + frame.voxel_um
     length_um = 3.0 * frame.voxel_um
     deviations: list[Floats] = []
-    for row in sampled_rows:
-        rays = frame.tile(volume, slice(int(row), int(row) + 1))
+    for row in rows[np.unique(spread_indices)].tolist():
+        rays = frame.tile(volume, slice(row, row + 1))
         if not (rays.status == 0).any():
             continue
         room_above_um = float(rays.s_um[-1] - np.nanmax(rays.top))
@@ -61,7 +64,8 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
                 deviations.append(np.abs(means - np.median(means)))
     if sum(part.size for part in deviations) < 200:
         return white_noise
-    return max(white_noise, mad_sd(np.concatenate(deviations), 0.0) ** 2 * length_um)
+    air_sd = mad_sd(np.concatenate(deviations), 0.0)
+    return max(white_noise, air_sd**2 * length_um)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,11 +115,12 @@ class SharedNoise:
         longest_um = max(voxel_um, max(pitch_um) / column_px)
         correlation_factor = float(np.sqrt(correlation_length))
         column_um2 = pitch_um[0] * pitch_um[1]
+        columns_per_patch = max(columns_per_value / column_px**2, 1.0)
         return cls(
             noise_um=float(noise),
             common_um=common_errors(correlation_factor * voxel_um),
             local_um=common_errors(correlation_factor * longest_um),
-            patch_um2=column_um2 * max(columns_per_value / column_px**2, 1.0),
+            patch_um2=column_um2 * columns_per_patch,
         )
 
 
@@ -125,18 +130,17 @@ def thickness_errors(
     shared_noise: SharedNoise,
     *,
     cosine: Floats,
-) -> dict[str, Floats]:
+) -> NamedFields:
     """Standard errors of thicknesses and of heights of faces along the normals, um (rows, cols).
 
-    ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the
-    sheet's tilt against the columns; a tilted column holds 1 / cosine times as many voxels of the
-    same blurred edge.
+    By the names of the maps. ``coatings``: their thicknesses in um (rows, cols); those of a side
+    without one are ignored. ``cosine`` (rows, cols): of the sheet's tilt against the columns; a
+    tilted column holds 1 / cosine times as many voxels of the same blurred edge.
     """
-    errors: dict[str, Floats] = {}
+    errors: NamedFields = {}
     for side, thickness in coatings.items():
-        face_se, coating_se, interface_se = np.sqrt(cosine) * layer_errors(
-            thickness, greys, shared_noise.noise_um, side
-        )
+        along_column = layer_errors(thickness, greys, shared_noise.noise_um, side)
+        face_se, coating_se, interface_se = np.sqrt(cosine) * along_column
         errors[f"coating_{side}"] = coating_se
         errors[f"half_thickness_{side}"] = errors[f"topography_{side}"] = face_se
         errors[f"base_surface_{side}"] = interface_se
@@ -187,13 +191,15 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
 
     for the four unknowns h, t, c, b: F_ij = integral of (dg/dp_i)(dg/dp_j) ds / noise_um, plus 1 /
     spread^2 for the levels, which vary by 5 % (coating) and 10 % (base) of their contrast from
-    place to place. Where a side has no coating there are h and b only, and ``thickness``, (rows,
-    cols) of the layer in um, is ignored. ``noise_um`` is as from :func:`ray_noise`. As t goes to 0,
-    h and t cannot be told apart and the matrix becomes singular; below the thickness that equals
-    its own standard error, that error is given. It says nothing about a wrong model: fringes, burnt
-    rims, fillers at the interface. Walls and pores of the base are no part of the staircase either:
-    what they scatter beyond the noise below an interface is added as it acts on the fit, F^-1 (F +
-    G) F^-1 with G the same integral of their surplus.
+    place to place: s is the depth, h the face, t the thickness and w the blur in um; a, c and b are
+    the greys of air, coating and base. ``thickness``: of the layer in um (rows, cols); NaN gives
+    NaN. Where a side has no coating there are h and b only: ``thickness`` is ignored, and its
+    errors are NaN. ``noise_um`` is as from :func:`ray_noise`. As t goes to 0, h and t cannot be
+    told apart and the matrix becomes singular; below the thickness that equals its own standard
+    error, that error is given. It says nothing about a wrong model: fringes, burnt rims, fillers at
+    the interface. Walls and pores of the base are no part of the staircase either: what they
+    scatter beyond the noise below an interface is added as it acts on the fit, F^-1 (F + G) F^-1
+    with G the same integral of their surplus.
     """
     blur_um = max(greys.blur_um, 1e-3)
     base_contrast = greys.base - greys.air
@@ -203,8 +209,8 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
         # A face has air on one side, walls and pores on the other.
         noise_um = 0.5 * (noise_um + max(noise_um, greys.texture_um))
         crossing_noise = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um))
-        face_map = np.full(thickness.shape, crossing_noise / abs(base_contrast))
-        return np.stack([face_map, np.full(thickness.shape, np.nan), face_map])
+        face_se = np.full(thickness.shape, crossing_noise / abs(base_contrast))
+        return np.stack([face_se, np.full_like(face_se, np.nan), face_se])
     if side in greys.fit_errors:  # a trial on this sheet, which knows more than the formula
         nodes_um, *errors_um = greys.fit_errors[side]
     else:
@@ -213,6 +219,7 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
         levels = greys.coating(side) - greys.air, base_contrast
         noises_um = noise_um, greys.texture_um
         se_table = np.array([_layer_errors_at(t, blur_um, *levels, *noises_um) for t in nodes_um])
+        # Thinner layers have the error of the first whose thickness is no less than its own.
         first_node = int(np.argmax(se_table[:, 1] <= nodes_um))
         errors_um = se_table[np.maximum(np.arange(_NODES), first_node)].T
     errors = np.stack([np.interp(thickness, nodes_um, node_errors) for node_errors in errors_um])
@@ -224,11 +231,13 @@ def _layer_errors_at(
 ) -> list[float]:
     """Standard errors of face, thickness and interface, um, of a layer of ``t`` um.
 
-    ``w`` is the blur, ``c`` and ``b`` are the levels of coating and base above the air.
+    ``w`` is the blur in um, ``c`` and ``b`` are the levels of coating and base above the air, as in
+    :func:`layer_errors`, which explains the matrix. ``noise_um`` and ``texture_um``: variances of
+    the grey's integral over one um, from noise and from walls and pores of the base; grey^2 um.
     """
     step_um = 0.05 * w
+    # From six blurs outside the face to so deep in the base that its level is well known.
     s: Floats = np.arange(-6 * w, t + 20 * w, step_um)
-
     height = w * np.sqrt(2 * np.pi)
 
     def bell(x: Floats) -> Floats:
@@ -248,6 +257,7 @@ def _layer_errors_at(
     surplus = gradient * np.where(s > t, texture_sd, 0.0) / noise_um
     inverse = np.linalg.inv(fisher)
     covariance = inverse @ (fisher + surplus @ surplus.T * step_um) @ inverse
-    interface_variance = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
+    # The interface is h + t.
+    interface_variance = covariance[:2, :2].sum()
     variances = covariance[0, 0], covariance[1, 1], interface_variance
     return [float(np.sqrt(max(variance, 0.0))) for variance in variances]

@@ -16,7 +16,7 @@ from planish.core.errors import VolumeError
 from planish.core.grid import Grid, filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Entries, Floats, Pair, TwoFields
+from planish.core.typing import Bools, Codes, Entries, Floats, NamedFields, Pair, TwoFields
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression, slice_smoothed
 from planish.surface.columns import Columns, join_tiles, voxel_pitch
@@ -65,7 +65,7 @@ class ColumnStates(NamedTuple):
         """Columns that are no opening of the sheet."""
         return self.is_sheet | self.runs_out
 
-    def status(self, in_sheet: Bools, in_rim: Bools, has_centre: Bools) -> NDArray[np.uint8]:
+    def status(self, in_sheet: Bools, in_rim: Bools, has_centre: Bools) -> Codes:
         """Give the status of each column."""
         is_outside = ~(has_centre & in_sheet)
         conditions = [is_outside, in_rim, self.has_faces, self.below_particle]
@@ -148,7 +148,7 @@ def _attrs(
     states: ColumnStates,
     thickness: float,
     cutoff_used: Floats,
-    status: NDArray[np.uint8],
+    status: Codes,
 ) -> Entries:
     """Options of the search, what was removed, bridged gaps and half-closed holes."""
     is_bridged = cutoff_used > params.cutoff_um
@@ -175,7 +175,7 @@ def _attrs(
     return columns.frame.attrs() | attrs
 
 
-def _face_variables(heights: dict[str, Floats], faces: Faces) -> dict[str, Variable]:
+def _face_variables(heights: NamedFields, faces: Faces) -> dict[str, Variable]:
     """Faces and interfaces, and how far the wall's grey moves them."""
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
     for side, (level_error, mean_um) in faces.level_errors.items():
@@ -187,7 +187,7 @@ def _face_variables(heights: dict[str, Floats], faces: Faces) -> dict[str, Varia
 
 
 def _envelopes(
-    heights: dict[str, Floats], sign: float, pitch: Pair, radius_um: float
+    heights: NamedFields, sign: float, pitch: Pair, radius_um: float
 ) -> dict[str, Variable]:
     envelopes: dict[str, Variable] = {}
     for name, outwards in (("top", sign), ("bottom", -sign)):
@@ -279,7 +279,7 @@ _PLACES = {
 
 def find_presence(
     columns: Columns, centre: Floats, thickness: float, up_sign: float, levels: Pair, engine: Engine
-) -> dict[str, Floats]:
+) -> NamedFields:
     """Share of material in three layers of the sheet, along the true normals, of every column.
 
     0 to 1.

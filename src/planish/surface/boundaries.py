@@ -69,11 +69,11 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     for i, row_grey in enumerate(grey):
         is_near = depth_index >= guide.low[i][:, None] - margin_px
         is_near &= depth_index <= guide.high[i][:, None] + margin_px
-        near_grey = row_grey[is_near & np.isfinite(row_grey)].astype(np.float64)
+        near_grey = row_grey[is_near & np.isfinite(row_grey)].astype(float)
         if near_grey.size < 100:
             continue
         paper_level, coating_level = otsu(near_grey, 3 if any(priors.coated) else 2)
-        profiles = row_grey.astype(np.float64)
+        profiles = row_grey.astype(float)
         for k, (outer, opposite) in enumerate(faces_by_end):
             inward = profiles[:, ::-1] if k == 0 else profiles
             start = outer[i] - search_px[i]
@@ -101,7 +101,7 @@ def _outer_boundaries(
     is_bright = grey > coating
     smoothed = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:]
     is_clear = smoothed > paper
-    is_entered = np.zeros(grey.shape, dtype=bool)
+    is_entered = np.zeros(grey.shape, bool)
     is_entered[:, 1:-2] = is_clear[:, :-1] & is_clear[:, 1:]
     is_entered &= depth <= middle[:, None]
     entry = first_where(is_entered, np.maximum(np.floor(start), 1))
@@ -153,7 +153,7 @@ class LabelColumns(Columns):
         """Codes of the voxels of a tile, or of a part of their depth."""
         # Slots leave a dataclass without its class cell, so super() needs it.
         raw = super(LabelColumns, self).voxels(tile, depth)
-        codes = np.full(raw.shape, _UNKNOWN, dtype=np.uint8)
+        codes = np.full(raw.shape, _UNKNOWN, np.uint8)
         for label, code in self.codes.items():
             codes[raw == label] = code
         is_unknown = codes == _UNKNOWN

@@ -174,7 +174,7 @@ class _Regression:
                 rows.append(np.stack(products, axis=-1))
             system = np.stack(rows, axis=1) + self.ridge
             solved = np.linalg.solve(system, sums[nodes, :, None])
-            return np.asarray(solved[..., 0, 0] + offset, dtype=np.float64)
+            return np.asarray(solved[..., 0, 0] + offset, np.float64)
 
         pieces = [slice(k, k + _NODES) for k in range(0, len(sums), _NODES)]
         smoothed[self.good] = np.concatenate([np.empty(0), *map_threads(constant_terms, pieces)])

@@ -11,7 +11,7 @@ import numpy as np
 
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Shape
 from planish.surface.coarse import (
     CORE,
     BlockIndex,
@@ -31,9 +31,7 @@ to separate it."""
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 
 
-def make_choice(
-    columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams
-) -> Choice:
+def make_choice(columns: Columns, block: int, shape: Shape, params: SurfaceParams) -> Choice:
     """Give block width, the seed point in block indices, and words for a place in block indices."""
     volume = columns.volume
     lateral_px = block * columns.step
@@ -184,7 +182,7 @@ def material(
     of the half nearest to the air where ``air_scatter`` is not given.
     """
     sampled_grey = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
-    deviation = sampled_grey[np.isfinite(sampled_grey)].astype(np.float64) - air
+    deviation = sampled_grey[np.isfinite(sampled_grey)].astype(float) - air
     contrast = np.abs(deviation)
     if air_scatter is None:
         air_scatter = mad_sd(deviation[contrast <= np.percentile(contrast, 50)])
@@ -199,7 +197,7 @@ def material(
         )
     is_lighter = contrast[is_bright].sum() >= contrast[is_dark].sum()
     typical_contrast = float(np.median(contrast[is_bright if is_lighter else is_dark]))
-    end_grey = blocks[..., [0, 1, 2, -3, -2, -1]].astype(np.float64)
+    end_grey = blocks[..., [0, 1, 2, -3, -2, -1]].astype(float)
     threshold = max(_SIGMAS * scatter, 0.35 * typical_contrast)
     least_threshold = max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast)
     return 1.0 if is_lighter else -1.0, threshold, least_threshold
@@ -229,7 +227,7 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     depth = np.rint(low[:, None] + core_offsets).astype(int)
     core_grey = oriented[rows[:, None], cols[:, None], depth]
     # The core tells the base's level, and that a better threshold: half way between air and base.
-    base = float(np.median(core_grey.astype(np.float64)))
+    base = float(np.median(core_grey.astype(float)))
     # Beside another object it is not lowered: noise and blur would join them.
     threshold = max(threshold * (1.0 if choice.may_lead else 0.7), 0.5 * base)
     return search_sheet(oriented, oriented > threshold, threshold, choice)
@@ -286,4 +284,4 @@ def _touching_share(sheet: CoarseSheet) -> float:
 def seed_grey(sharp_blocks: Blocks, seed: BlockIndex) -> Floats:
     """Grey around the seed point, at the depth before it, at its own, and after it."""
     neighbourhood = tuple(slice(max(k - 1, 0), k + 2) for k in seed)
-    return np.asarray(np.median(sharp_blocks[neighbourhood], axis=(0, 1)), dtype=np.float64)
+    return np.asarray(np.median(sharp_blocks[neighbourhood], axis=(0, 1)), np.float64)

@@ -133,7 +133,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
 
 def _counts(labels: Labels, n_objects: int) -> tuple[Labels, Labels]:
     """Columns in which each object appears, and its blocks, by label."""
-    n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
+    n_covered, n_blocks = np.zeros((2, n_objects + 1), np.int64)
     for label_row in labels:
         ordered = np.sort(label_row, axis=-1)
         is_first = np.diff(ordered, axis=-1, prepend=-1) > 0

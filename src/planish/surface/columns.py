@@ -56,7 +56,7 @@ class Columns:
     @property
     def depth_um(self) -> Floats:
         """Coordinates along the columns."""
-        return np.asarray(self.volume.coords[self.frame.through].values, dtype=np.float64)
+        return np.asarray(self.volume.coords[self.frame.through].values, np.float64)
 
     def lateral_um(self) -> TwoFields:
         """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
@@ -64,7 +64,7 @@ class Columns:
         return self._middles_um(self.frame.rows, rows), self._middles_um(self.frame.cols, cols)
 
     def _middles_um(self, axis: Axis, count: int) -> Floats:
-        voxels_um = self.volume.coords[axis].values[: count * self.step].astype(np.float64)
+        voxels_um = self.volume.coords[axis].values[: count * self.step].astype(float)
         return voxels_um.reshape(count, self.step).mean(axis=1)
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> Array:
@@ -92,10 +92,10 @@ class Columns:
             missing = np.nan if self.padding is None else self.padding
             level = np.zeros(tile.shape)
             slope_r, slope_c = map(np.ascontiguousarray, slope or (level, level))
-            grey = np.empty((*tile.shape, stored.shape[2]), dtype=np.float32)
+            grey = np.empty((*tile.shape, stored.shape[2]), np.float32)
             _kernels.mean_columns(stored, self.step, slope_r, slope_c, missing, grey)
             return grey
-        grey = np.empty(stored.shape, dtype=np.float32)
+        grey = np.empty(stored.shape, np.float32)
         for i, row in enumerate(stored):
             grey[i] = row.copy(order="K")  # turned while it is in the processor's cache
         if self.padding is not None:

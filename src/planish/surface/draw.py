@@ -11,7 +11,6 @@ from operator import attrgetter
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import InputError
@@ -20,7 +19,7 @@ from planish.core.frame import Frame
 from planish.core.grid import blur_reach_um, pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats, Ints, Pair, TwoFields, Window
+from planish.core.typing import Bools, Codes, Floats, Ints, NamedFields, Pair, TwoFields, Window
 from planish.surface import _draw_kernels
 from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented, rises_px
 from planish.surface.params import Corrections, Stretch
@@ -121,17 +120,17 @@ class Drawing:
             blend_sd=float(self.attrs.get("averaged_columns", 0.0)),
         )
         self.voxel_um = self.columns.pitch[2]
-        self.heights: dict[str, Floats] = {}
-        self.how: dict[Side, NDArray[np.uint8]] = {}
+        self.heights: NamedFields = {}
+        self.how: dict[Side, Codes] = {}
         self.error_um: dict[Side, Floats] = {}
-        self.status: NDArray[np.uint8] = surfaces["status"].values
+        self.status: Codes = surfaces["status"].values
         for face in SIDES:
             for name in (face, f"interface_{face}"):
-                self.heights[name] = surfaces[name].values.astype(np.float64)
+                self.heights[name] = surfaces[name].values.astype(float)
             self.how[face] = np.zeros(self.status.shape, np.uint8)
             self.error_um[face] = np.full(self.status.shape, np.nan)
         self.tiles: set[Tile] = set()
-        self.guide = self._guide(surfaces["centre"].values.astype(np.float64))
+        self.guide = self._guide(surfaces["centre"].values.astype(float))
         for stretch in corrections.stretches:
             for face in SIDES:
                 if stretch.of(face):

@@ -11,7 +11,16 @@ from planish.core.grid import at_index, filled
 from planish.core.robust import mad_sd, masked_gaussian
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Array, Bools, Floats, Ints, Singles, TwoFields
+from planish.core.typing import (
+    Array,
+    Bools,
+    Floats,
+    Ints,
+    NamedFields,
+    Singles,
+    ThreeFields,
+    TwoFields,
+)
 from planish.surface import _fit_kernels
 from planish.surface.columns import WALL_UM, Columns, Guide, Pitch, Priors, join_tiles, oriented
 
@@ -35,7 +44,7 @@ class Faces:
     how many particles were removed.
     """
 
-    heights: dict[str, Floats]
+    heights: NamedFields
     below_particle: Bools
     particles: int
     # By side without a coating, in um: how far the face moves where the wall's grey is a little
@@ -164,8 +173,8 @@ def faces_from_depths(
     """
     first_um = float(columns.depth_um[0])
     step_um = columns.pitch[2]
-    below_particle = np.zeros(depths.shape[1:], dtype=bool)
-    heights: dict[str, Floats] = {}
+    below_particle = np.zeros(depths.shape[1:], bool)
+    heights: NamedFields = {}
     level_errors: dict[str, tuple[Floats, float]] = {}
     faces = map_threads(_cleaned, depths[:4:2], repeat(columns.pitch), cleaned)
     for k, (outer, is_particle) in enumerate(faces):
@@ -200,7 +209,7 @@ def _cleaned(outer: Floats, pitch: Pitch, is_asked: bool) -> tuple[Floats, Bools
     """
     is_finite = np.isfinite(outer)
     if not is_asked or not is_finite.any():
-        return outer, np.zeros(outer.shape, dtype=bool)
+        return outer, np.zeros(outer.shape, bool)
     step_um = pitch[2]
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     deviation_px = np.abs(outer - _around(outer))
@@ -243,7 +252,7 @@ def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools, float]:
     deviation_px = np.abs(face - around)
     usual_px = _usual_step_px(deviation_px[is_found])
     is_found &= deviation_px <= largest_step_px(deviation_px[is_found], step_um)
-    share = ndimage.uniform_filter(is_found.astype(np.float64), _AROUND)
+    share = ndimage.uniform_filter(is_found.astype(float), _AROUND)
     return around, ~is_found & (share > 0.5), usual_px
 
 
@@ -338,9 +347,7 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
     return depths
 
 
-def _wall_depths(
-    grey: Singles, start: Floats, stop: Floats, wall_level: float
-) -> tuple[Floats, Floats, Floats]:
+def _wall_depths(grey: Singles, start: Floats, stop: Floats, wall_level: float) -> ThreeFields:
     """Depth of the first wall, of the next one below a void, and how far the grey moves the first.
 
     ``grey`` (rows, cols, depth) is read from outside.
@@ -350,7 +357,7 @@ def _wall_depths(
         outermost_crossing(grey, start, stop, level * (1.0 + doubt))
         for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)
     )
-    below_first = first_where(grey <= level, np.ceil(filled(face))).astype(np.float64)
+    below_first = first_where(grey <= level, np.ceil(filled(face))).astype(float)
     next_wall = outermost_crossing(grey, below_first, stop, level)
     # Where the next wall is taken for this one the face moves far to one side alone.
     return face, next_wall, np.sqrt(0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2))
@@ -358,7 +365,7 @@ def _wall_depths(
 
 def fit_side(
     grey: Singles,
-    expected: tuple[Floats, Floats, Floats],
+    expected: ThreeFields,
     priors: Priors,
     columns: Columns,
     from_high: bool,

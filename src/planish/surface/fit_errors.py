@@ -80,7 +80,7 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
     errors: dict[bool, Floats] = {}
     for k, from_high in enumerate((True, False)):
         face, thickness = depths[2 * k : 2 * k + 2]
-        is_known = np.zeros(face.shape, dtype=bool)
+        is_known = np.zeros(face.shape, bool)
         is_known[inside] = (np.isfinite(face) & np.isfinite(thickness))[inside]
         if not priors.sides[from_high].coated or not is_known.any():
             continue
@@ -150,7 +150,7 @@ def _remade(
 
 def _coating_grey(side: Side, shape: Shape2D) -> Singles:
     """Grey of a coating that differs from place to place as far as it was seen to."""
-    grey = np.full(shape, side.level[2], dtype=np.float32)
+    grey = np.full(shape, side.level[2], np.float32)
     if side.lone is not None and side.lone.spread > 0:
         drawn = np.random.default_rng(_SEED).standard_normal(shape)
         field = ndimage.gaussian_filter(drawn, _PLACE, mode="wrap")

@@ -263,7 +263,7 @@ class _Learner(Sampler):
         depth_shares = np.linspace(*CORE, _DEPTHS)
         outer = sample.outer[0][:, None]
         depth = outer + (sample.opposite[0][:, None] - outer) * depth_shares
-        core_grey = _grey_at(sample.grey[0], np.rint(depth).astype(int)).astype(np.float64)
+        core_grey = _grey_at(sample.grey[0], np.rint(depth).astype(int)).astype(float)
         return core_grey[np.isfinite(core_grey)]
 
     def _base_texture(self) -> float:
@@ -277,7 +277,7 @@ class _Learner(Sampler):
         sample = self.sample_of[True]
         middle = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)
         core_index = middle[:, None] + np.arange(-3, 3)
-        grey = _grey_at(sample.grey[0], core_index).astype(np.float64)
+        grey = _grey_at(sample.grey[0], core_index).astype(float)
         outer, inner = grey.reshape(-1, 2, 3).mean(axis=2).T
         difference = inner - outer
         difference = difference[np.isfinite(difference)]

@@ -21,9 +21,8 @@ Fringe = Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)]
 
 
 def _label(default: int | None, meaning: str) -> tuple[Label, ...]:
-    labels: tuple[int, ...] = () if default is None else (default,)
     return option(
-        labels,
+        () if default is None else (default,),
         cli=f"--label-{meaning.split()[0]}",
         metavar="N[,N...]",
         help=f"Labels that mean {meaning}; several with commas, none for no such label.",

@@ -97,14 +97,14 @@ def all_holes(in_sheet: Bools, pitch: Pair) -> Floats:
     """
     radius_px = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.
-    in_gap = ndimage.binary_opening(~in_sheet, np.ones((2, 2), dtype=bool))
+    in_gap = ndimage.binary_opening(~in_sheet, np.ones((2, 2), bool))
     gap_labels, _ = ndimage.label(ndimage.binary_dilation(in_gap, iterations=radius_px))
     holes: list[tuple[float, ...]] = []
     for k, bounds in enumerate(ndimage.find_objects(gap_labels), start=1):
         if any(s.start == 0 or s.stop == n for s, n in zip(bounds, in_sheet.shape, strict=True)):
             continue
         points = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k))
-        points_um = points.astype(np.float64) * np.array(pitch)
+        points_um = points.astype(float) * np.array(pitch)
         if len(points) < 8 or np.ptp(points_um, axis=0).min() <= 0:
             continue
         ellipse_um2 = _ellipse(points_um)

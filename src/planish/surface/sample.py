@@ -185,7 +185,7 @@ class Sampler:
                 for start_index in (first_index, first_index - width_px):
                     columns = np.flatnonzero(start_index >= 0)
                     air_samples.append(grey[columns, start_index[columns]])
-        return mad_sd(np.concatenate(air_samples).astype(np.float64))
+        return mad_sd(np.concatenate(air_samples).astype(float))
 
     def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours.

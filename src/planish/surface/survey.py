@@ -229,7 +229,7 @@ def _ends(profiles: Array, inside: Bools) -> Floats:
     first += first > 0
     last -= last < profiles.shape[1] - 1
     ends = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
-    return np.concatenate([profiles[rows[:, None], k].astype(np.float64) for k in ends])
+    return np.concatenate([profiles[rows[:, None], k].astype(float) for k in ends])
 
 
 def _airy(ends: Floats, voxels: Floats, seed: Floats) -> TwoFields:
@@ -282,7 +282,7 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
         return None
     padding = float(corner)
     last_index = columns.shape[1] - 1
-    profiles = columns[has_inside].astype(np.float64)
+    profiles = columns[has_inside].astype(float)
     is_outside = is_padding[has_inside]
     first, last = first_and_last(~is_outside)
     is_cut = (first > 0) | (last < last_index)
