@@ -223,10 +223,11 @@ def test_impossible_requests():
 
 def test_a_circle_that_a_border_cuts_is_not_whole():
     size, shape, radius = (2.0, 3.0), (101, 201), 40.0  # 200 um high, 600 um wide
-    rows = np.zeros((6, rims.COLUMNS))
-    rows[:, rims.RADIUS] = radius
+    rows = rims.blank_marks(6)
+    rows.half_difference = 0.0
+    rows.radius = radius
     places = [(300, 100), (39, 100), (561, 100), (300, 39), (300, 161), (559, 159)]
-    rows[:, [rims.X, rims.Y]] = places
+    rows.centre = places
     assert hole_criteria.is_whole(rows, shape, size).tolist() == [
         True,
         False,

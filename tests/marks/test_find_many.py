@@ -6,8 +6,8 @@ import pytest
 from scipy import ndimage
 
 from planish.marks import candidates, find_holes, hole_criteria
-from planish.marks import rims as k
 from planish.marks._edge_kernels import half_level_edges
+from planish.marks.rims import MARK
 
 
 @pytest.mark.ci
@@ -40,32 +40,28 @@ def test_each_part_of_an_image_has_a_limit_of_its_own():
 
 
 def rows_of(rng, count, field):
-    rows = rng.uniform(0.0, 1.0, (count, k.COLUMNS))
-    rows[:, [k.X, k.Y]] *= field
-    rows[:, k.RADIUS] = rng.uniform(50, 150, count)
-    rows[:, k.OUTSIDE] = rows[:, k.INSIDE] + rng.uniform(0.5, 3.0, count)
+    numbers = rng.uniform(0.0, 1.0, count * MARK.itemsize // 8)
+    rows = numbers.view(MARK).view(np.recarray)
+    rows.centre *= field
+    rows.radius = rng.uniform(50, 150, count)
+    rows.outside = rows.inside + rng.uniform(0.5, 3.0, count)
     return rows
 
 
 def apart(rows, row):
-    return (
-        np.hypot(rows[:, k.X] - row[k.X], rows[:, k.Y] - row[k.Y])
-        - rows[:, k.RADIUS]
-        - row[k.RADIUS]
-    )
+    x, y = (rows.centre - row.centre).T
+    return np.hypot(x, y) - rows.radius - row.radius
 
 
 def quality(rows):
-    rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
-    return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
+    rough = np.sqrt(rows.roughness**2 + 0.5 * rows.half_difference**2)
+    return rows.coverage - rough / rows.radius
 
 
 def naive_deepest_disjoint(rows):
-    step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    step = rows.outside - rows.inside
     deepest = [
-        not np.any(
-            (row[k.INSIDE] - rows[:, k.INSIDE] > hole_criteria.DEEPER * s) & (apart(rows, row) < 0)
-        )
+        not np.any((row.inside - rows.inside > hole_criteria.DEEPER * s) & (apart(rows, row) < 0))
         for row, s in zip(rows, step, strict=True)
     ]
     kept = []
@@ -76,10 +72,11 @@ def naive_deepest_disjoint(rows):
 
 
 def naive_joined(rows, floors):
-    for floor in floors:
-        on = apart(rows, floor) < 0
-        if np.all(quality(rows[on]) + hole_criteria.BETTER < quality(floor[None])):
-            rows = np.concatenate([rows[~on], floor[None]])
+    for k in range(len(floors)):
+        floor = floors[k : k + 1]
+        on = apart(rows, floors[k]) < 0
+        if np.all(quality(rows[on]) + hole_criteria.BETTER < quality(floor)):
+            rows = np.concatenate([rows[~on], floor]).view(np.recarray)
     return rows
 
 

@@ -13,9 +13,9 @@ from planish.core.transform import are_known
 from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _rim_kernels, candidates
 from planish.marks import hole_criteria as criteria
-from planish.marks import rims as k
 from planish.marks.candidates import Image, Raster
 from planish.marks.exchange.model import EXTRAS
+from planish.marks.rims import Marks, blank_marks, measure_floors, measure_rims
 
 REASONS = {
     "not_measured": "not measured",
@@ -66,21 +66,15 @@ def find_holes(
     -------
     Dataset, dims (mark)
         ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``,
-        ``arc_coverage`` (0 to 1)
-        and ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error,
-        where there is no
-        hole.
-        ``attrs["polarity"]`` says which kind was found. ``attrs["not_taken"]`` counts by reason
-        what was seen and is
-        not among the holes though it would be but for this: ``cut`` by the border, ``too_small``,
-        ``too_large``,
+        ``arc_coverage`` (0 to 1) and ``contrast`` (negative for dark holes). Sorted by y, then x.
+        Empty, without an error, where there is no hole. ``attrs["polarity"]`` says which kind was
+        found. ``attrs["not_taken"]`` counts by reason what was seen and is not among the holes
+        though it would be but for this: ``cut`` by the border, ``too_small``, ``too_large``,
         ``too_faint``, ``not_round`` or not closed, ``no_rim`` that is sharp, ``open`` to one side,
-        ``unlike`` the other holes; and as
-        ``not_measured`` places that might be holes: in large images at most as many are measured as
-        smallest holes
-        would cover the area, the strongest of each part of the image. It is 0 but for very dense
-        patterns, or where
-        ``diameter_um`` begins far above their size.
+        ``unlike`` the other holes; and as ``not_measured`` places that might be holes: in large
+        images at most as many are measured as smallest holes would cover the area, the strongest of
+        each part of the image. It is 0 but for very dense patterns, or where ``diameter_um`` begins
+        far above their size.
 
     Raises
     ------
@@ -118,7 +112,7 @@ def find_holes(
         raise SizeError(
             f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed."
         )
-    pixel_size = float(sizes[0]), float(sizes[-1])
+    row_um, col_um = np.broadcast_to(sizes, 2).tolist()
     low, high = map(float, diameter_um)
     if not 0.0 < low < high < np.inf:
         raise MarkError(
@@ -134,70 +128,76 @@ def find_holes(
     magnification = float(USUAL_UM / np.sqrt(low * high))
     if 0.5 <= magnification <= 2.0:
         magnification = 1.0
-    sign = signs[0]
-    holes = np.empty((0, k.COLUMNS))
+    sign, *_ = signs
+    holes = blank_marks(0)
     counts = dict.fromkeys(REASONS, 0)
-    is_wide = shorter_side_um(grey.shape, pixel_size) > low
+    is_wide = shorter_side_um(grey.shape, (row_um, col_um)) > low
     if is_wide and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        raster = Raster(grey, (pixel_size[0] * magnification, pixel_size[1] * magnification))
+        raster = Raster(grey, (row_um * magnification, col_um * magnification))
         radii = (low / 2 * magnification, high / 2 * magnification)
         sign, holes, counts = _holes(raster, radii, signs)
-    holes[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= magnification
-    holes[:, k.COVARIANCE] /= magnification**2
+    holes.centre /= magnification
+    holes.radius /= magnification
+    holes.half_difference /= magnification
+    holes.covariance /= magnification**2
     return _dataset(holes, sign).assign_attrs(not_taken=counts)
 
 
 class _Detection(NamedTuple):
-    """Marks of one polarity.
+    """Marks of one polarity, in um from the first pixel of the fine raster."""
 
-    Holes, all that was measured, the places searched, the texture around.
-    """
-
-    sign: float
-    holes: Floats
-    marks: Floats
-    positions: Floats
-    texture: candidates.LocalLevels
-    dropped_count: int
+    sign: float  # 1 for dark holes, -1 for bright ones
+    holes: Marks
+    marks: Marks  # all that was measured
+    positions: Floats  # (n, 2): x, y of all places that were searched
+    texture: candidates.LocalLevels  # of the sheet without its holes
+    dropped_count: int  # places beyond what is measured
 
 
 def _holes(
     raster: Raster, radius_range: Pair, signs: tuple[float, ...]
-) -> tuple[float, Floats, dict[str, int]]:
+) -> tuple[float, Marks, dict[str, int]]:
     """Find the polarity with the stronger holes.
 
-    Gives its sign, its holes in um, and counts of rejected marks.
+    ``radius_range`` in um. Gives its sign, its holes in um from the first pixel of the raster,
+    sorted by y, then x, and counts of rejected marks by their reason.
     """
     # Rims are measured with 40 pixels across the smallest hole.
     fine_raster = candidates.reduce_to(raster, 2 * radius_range[0] / 40.0)
     detections = _detect(fine_raster, radius_range, signs)
-    strongest = max(detections, key=lambda d: float(np.sum(d.holes[:, k.STEP])))
+    strongest = max(detections, key=lambda d: float(np.sum(d.holes.step)))
     holes = strongest.holes
     if len(holes) >= criteria.LEAST_OTHERS:
-        floors = _floors(fine_raster, strongest.sign, strongest.positions, holes)
+        floors = _floors(fine_raster, strongest)
         _raise_texture(floors, strongest.texture)
         holes = criteria.merge_floors(holes, floors)
     counts = _count_rejected(strongest, holes, fine_raster, radius_range)
     criteria.set_covariance(holes, fine_raster.pixel_um)
-    holes[:, k.CENTRE] += fine_raster.origin_um
-    order = np.lexsort((holes[:, k.X], holes[:, k.Y]))
+    holes.centre += fine_raster.origin_um
+    order = np.lexsort(holes.centre.T)
     return strongest.sign, holes[order], counts
 
 
 def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> list[_Detection]:
-    """Search candidates on a coarser raster and measure them on a fine one, for each sign."""
-    diameter = 2 * radius_range[1]
-    target_um = 2 * radius_range[0] / candidates.ACROSS_COARSE
-    coarse = candidates.reduce_to(Raster(raster.image, raster.pixel_um), target_um)
+    """Search candidates on a coarser raster and measure them on a fine one, for each sign.
+
+    Places count from the first pixel of the fine one; ``radius_range`` in um.
+    """
+    least_radius, largest_radius = radius_range
+    diameter = 2 * largest_radius
+    from_first = Raster(raster.image, raster.pixel_um)
+    coarse = candidates.reduce_to(from_first, 2 * least_radius / candidates.ACROSS_COARSE)
     responses = candidates.blob_responses(coarse, radius_range)
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is
     # allowed for them. The texture of the quietest quarter around: holes, dots and dirt have little
     # influence. Too small rather than too large, and nowhere above the median.
     quiet_texture = candidates.local_deviation(coarse, diameter, 0.25)
-    quiet_levels = np.minimum(quiet_texture.values, np.median(quiet_texture.values))
+    median_texture = np.median(quiet_texture.values)
+    quiet_levels = np.minimum(quiet_texture.values, median_texture)
     quiet_texture = quiet_texture._replace(values=quiet_levels)
     # The response at the centre of a disc at its own radius.
-    radius_ratio = list(responses)[1] / min(responses)
+    first_radius, second_radius, *_ = responses
+    radius_ratio = second_radius / first_radius
     response_share = float(np.exp(-1 / radius_ratio) - np.exp(-radius_ratio))
     disc_response = criteria.LEAST_CONTRAST * response_share
     faintest_levels = quiet_texture._replace(values=0.67 * disc_response * quiet_levels)
@@ -208,7 +208,8 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     for response in responses.values():
         spread = candidates.local_spread(response, candidates.SQUARE * diameter, 0.5)
         least_spread = 0.25 * float(np.median(spread.values))
-        spreads.append(spread._replace(values=np.maximum(spread.values, least_spread)))
+        spread_levels = np.maximum(spread.values, least_spread)
+        spreads.append(spread._replace(values=spread_levels))
     limits = (raster.pixel_um, radius_range)
     detections: list[_Detection] = []
     for sign in signs:
@@ -217,9 +218,12 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         )
         # Before a rim is measured its place may be some pixels off, and faint marks are counted:
         # less contrast will do.
+        least_contrast = 0.6 * criteria.LEAST_CONTRAST
         texture_there = quiet_texture.at_points(coarse_points)
         least_steps = 0.6 * shares * criteria.LEAST_CONTRAST * texture_there
-        least_contrasts = np.where(shares < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST)
+        # A place that is weaker than the least contrast stands out from a quiet part alone: there
+        # the texture around is no measure.
+        least_contrasts = np.where(shares < 1.0, 0.0, least_contrast)
         positions = coarse_points + coarse.origin_um
         thresholds = np.stack([least_steps, least_contrasts])
         marks = _measure(raster, positions, sign, radius_range, thresholds)
@@ -227,14 +231,14 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         # flat and alike.
         is_alike = criteria.share_floor(marks, *limits)
         if is_alike.any():
-            sheet = _sheet(coarse, marks[is_alike])
-            is_rare = criteria.is_rare(marks[is_alike], sign * sheet.image)
-            marks[is_alike, k.ALIKE] = is_rare
+            alike_marks = marks[is_alike]
+            sheet = _sheet(coarse, alike_marks)
+            marks.is_alike[is_alike] = criteria.is_rare(alike_marks, sign * sheet.image)
         # The sheet's own texture is what is left when everything that looks like a hole is taken
         # out, with its char.
         holes = marks[criteria.is_hole(marks, *limits)]
         texture = candidates.local_deviation(_sheet(coarse, holes), diameter, 0.5)
-        marks = marks[np.isfinite(marks[:, k.RADIUS])]
+        marks = marks[np.isfinite(marks.radius)]
         _raise_texture(marks, texture)
         holes = criteria.deepest_disjoint(marks[criteria.is_hole(marks, *limits)])
         is_whole = criteria.is_whole(holes, raster.image.shape, raster.pixel_um)
@@ -243,17 +247,15 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     return detections
 
 
-def _sheet(raster: Raster, holes: Floats) -> Raster:
-    """Give the image without holes; beyond a rim 60 um may be burnt."""
-    centres = holes[:, k.CENTRE] - raster.origin_um
-    circles = np.column_stack([centres, holes[:, k.RADIUS] + 60.0])
-    return candidates.outside(raster, circles)
+def _sheet(raster: Raster, holes: Marks) -> Raster:
+    """Give the image without holes, NaN there; beyond a rim 60 um may be burnt."""
+    return candidates.outside(raster, holes.centre - raster.origin_um, holes.radius + 60.0)
 
 
 def _count_rejected(
-    detection: _Detection, holes: Floats, raster: Raster, radius_range: Pair
+    detection: _Detection, holes: Marks, raster: Raster, radius_range: Pair
 ) -> dict[str, int]:
-    """Count by reason what lies on no hole and would be one but for a single fault.
+    """Count by the reasons of `REASONS` what lies on no hole and would be one but for one fault.
 
     Mottle has several faults.
     """
@@ -261,18 +263,23 @@ def _count_rejected(
     is_whole = criteria.is_whole(marks, raster.image.shape, raster.pixel_um)
     criteria_met = criteria.met_criteria(marks, raster.pixel_um, radius_range)
     criteria_met["not_round"] |= ~is_whole  # a border that cuts a mark takes a part of its rim, too
-    is_near_hole = np.sum([is_whole, *criteria_met.values()], axis=0) >= len(criteria_met)
+    criteria_met = {"cut": is_whole} | criteria_met
+    met_counts = np.sum([*criteria_met.values()], axis=0)
+    is_near_hole = met_counts >= len(criteria_met) - 1
     rejected = np.flatnonzero(is_near_hole & ~criteria.overlaps_any(marks, holes))
-    counts = dict.fromkeys(REASONS, 0) | {"not_measured": detection.dropped_count}
+    counts = dict.fromkeys(REASONS, 0)
+    counts["not_measured"] = detection.dropped_count
     for row in rejected[criteria.best_rims(marks[rejected])].tolist():
-        reason = next((name for name, is_met in criteria_met.items() if not is_met[row]), "unlike")
-        counts[reason if is_whole[row] else "cut"] += 1
+        faults = [name for name, is_met in criteria_met.items() if not is_met[row]]
+        # What meets all and is no hole was dropped beside the others.
+        reason, *_ = *faults, "unlike"
+        counts[reason] += 1
     return counts
 
 
-def _raise_texture(marks: Floats, texture: candidates.LocalLevels) -> None:
-    around = texture.at_points(marks[:, k.CENTRE])
-    marks[:, k.TEXTURE] = np.maximum(marks[:, k.TEXTURE], around)
+def _raise_texture(marks: Marks, texture: candidates.LocalLevels) -> None:
+    around = texture.at_points(marks.centre)
+    marks.texture = np.maximum(marks.texture, around)
 
 
 def _measure(
@@ -281,35 +288,38 @@ def _measure(
     sign: float,
     radius_range: Pair,
     thresholds: Floats,
-) -> Floats:
-    """Measure places, strongest first.
+) -> Marks:
+    """Measure places (n, 2), the strongest first, with arguments as for `measure_rims`.
 
-    What lies well inside a hole that a stronger one led to is passed over.
+    First those that are far from each other, then the others: what lies well inside a hole that a
+    stronger one led to is passed over, and its mark is NaN.
     """
-    marks = np.full((len(positions), k.COLUMNS), np.nan)
+    marks = blank_marks(len(positions))
     all_rows = np.arange(len(positions))
     pairs = criteria.neighbour_pairs(positions, 2 * radius_range[0])
     disjoint = np.asarray(criteria.greedy_disjoint(all_rows, pairs), dtype=np.intp)
     for batch in (disjoint, np.setdiff1d(all_rows, disjoint)):
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
-            is_clear = criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)
+            is_clear = criteria.is_round(marks, raster.pixel_um)
+            is_clear &= ~criteria.is_doubtful(marks)
         rows = batch[_is_outside(positions[batch], marks[is_clear], 0.5)]
-        marks[rows] = k.measure_rims(
-            raster, positions[rows], sign, radius_range, thresholds[:, rows]
-        )
+        search = (radius_range, thresholds[:, rows])
+        marks[rows] = measure_rims(raster, positions[rows], sign, *search)
     return marks
 
 
-def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Floats:
+def _floors(raster: Raster, detection: _Detection) -> Marks:
     """Measure the floors that are like those of the holes, also where no rim was searched."""
+    sign, holes = detection.sign, detection.holes
     typical = criteria.typical_hole(holes)
-    # Of the depth of the holes, at which a floor may end.
-    depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)
-    level = typical.floor_level + depth_shares[0] * typical.depth
+    # Greys at which a floor may end: shares of the depth of the holes, the likeliest first.
+    depth_shares = np.array([0.2, 0.08, 0.13, 0.27, 0.35])
+    floor_ends = (typical.floor_level + depth_shares * typical.depth).tolist()
+    level, *_ = floor_ends
     # Once the level of the floors is known, mottle that hid a place from the search hides it no
     # longer.
     dark_spots = candidates.dark_spots(raster, sign, level, typical.radius)
-    positions = np.concatenate([positions, dark_spots])
+    positions = np.concatenate([detection.positions, dark_spots])
     clear_holes = holes[~criteria.is_doubtful(holes)]
     positions = positions[_is_outside(positions, clear_holes, 1.0)]
     x, y = np.ascontiguousarray(positions.T)
@@ -322,48 +332,50 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
     neighbours = criteria.neighbour_pairs(floor_centres, 0.1 * typical.radius)
     disjoint = criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)
     floor_centres = floor_centres[disjoint]
-    levels = (typical.radius, typical.floor_level, typical.depth, depth_shares)
-    floors = k.measure_floors(raster, floor_centres, sign, *levels)
+    floors = measure_floors(raster, floor_centres, sign, typical.radius, floor_ends)
     floors = criteria.select_resembling(floors, holes, raster.pixel_um)
     # A rim lies farther out than its floor.
     rims = floors.copy()
-    rims[:, k.RADIUS] = np.maximum(rims[:, k.RADIUS], typical.radius)
+    rims.radius = np.maximum(rims.radius, typical.radius)
     return floors[criteria.is_whole(rims, raster.image.shape, raster.pixel_um)]
 
 
-def _is_outside(positions: Floats, holes: Floats, radius_share: float) -> Bools:
+def _is_outside(positions: Floats, holes: Marks, radius_share: float) -> Bools:
+    """Return which positions (n, 2), in um, lie farther from a centre than a share of its radius.
+
+    The hole is the one with the nearest centre.
+    """
     if not len(holes):
         return np.ones(len(positions), bool)
-    distances, nearest = KDTree(holes[:, k.CENTRE]).query(positions)
-    return distances > radius_share * holes[nearest, k.RADIUS]
+    distances, nearest = KDTree(holes.centre).query(positions)
+    return distances > radius_share * holes.radius[nearest]
 
 
-def _dataset(holes: Floats, sign: float) -> xr.Dataset:
-    radius, half = holes[:, k.RADIUS], holes[:, k.HALF_DIFFERENCE]
+_COLUMNS = {
+    "x": ("um", "Hole centre along the columns"),
+    "y": ("um", "Hole centre down the rows"),
+    **EXTRAS,
+    "contrast": ("1", "Step at the hole over the texture of the sheet around"),
+}
+
+
+def _dataset(holes: Marks, sign: float) -> xr.Dataset:
+    """Make the dataset of `find_holes`; its variables are those of ``_COLUMNS``, in their order."""
+    radius, half = holes.radius, holes.half_difference
+    axis_ratio = (radius + half) / (radius - half)
     # Texture below a thousandth of the step is rounding; it would make the ratio meaningless.
     depths = criteria.depth(holes)
-    contrast = -sign * depths / np.maximum(holes[:, k.TEXTURE], 1e-3 * depths)
-    units_and_names = {
-        "x": ("um", "Hole centre along the columns"),
-        "y": ("um", "Hole centre down the rows"),
-        **EXTRAS,
-        "contrast": ("1", "Step at the hole over the texture of the sheet around"),
-    }
-    columns = [
-        *holes[:, k.CENTRE].T,
-        *holes[:, k.COVARIANCE].T,
-        2 * radius,
-        (radius + half) / (radius - half),
-        holes[:, k.COVERAGE],
-        contrast,
-    ]
+    contrast = -sign * depths / np.maximum(holes.texture, 1e-3 * depths)
+    shape = [2 * radius, axis_ratio, holes.coverage, contrast]
+    columns = [*holes.centre.T, *holes.covariance.T, *shape]
     out = xr.Dataset(attrs={"polarity": "dark" if sign > 0 else "bright"})
-    for (name, (unit, text)), column in zip(units_and_names.items(), columns, strict=True):
+    for (name, (unit, text)), column in zip(_COLUMNS.items(), columns, strict=True):
         out[name] = ("mark", column, {"units": unit, "long_name": text})
     return out
 
 
 def _grey(image: ArrayLike) -> Image:
+    """Take an image as float32 in one piece, NaN where it is not finite; MarkError for no grey."""
     grey = np.asarray(image)
     if grey.ndim != 2:
         raise MarkError(
