@@ -67,3 +67,7 @@ def test_the_curve_of_sizes_holds_the_rows_and_a_wider_band():
     a, b = related_maps(5, (60, 80), 4.0, 0.6)
     curve = size_curve(a, b, pixel_um=2.0, sizes_um=[10.0])
     assert curve[0].band == pytest.approx(curve[0].interval)
+    # Fewer points than tiles along the shorter side.
+    of_few_points = size_curve(a, b, pixel_um=(1.0, 2.0), sizes_um=[2.0, 20.0])[1]
+    assert of_few_points.n == 24
+    assert of_few_points.band[0] <= of_few_points.interval[0]

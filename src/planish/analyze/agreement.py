@@ -122,11 +122,13 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
     sums = sums_of(x[is_valid], y[is_valid])
     differences = y - x
     slope, _, slope_x_on_y = sums.lines
-    bias = differences[is_valid].mean()
+    known_differences = differences[is_valid]
+    bias = known_differences.mean()
     sd = sums.difference[1]
     variance = 0.0
     n_eff = n_eff_sd = sums.n
-    is_constant = np.ptp(differences[is_valid]) <= 1e-12 * np.abs([x, y]).max()
+    rounding = 1e-12 * np.abs([x, y]).max()
+    is_constant = np.ptp(known_differences) <= rounding
     if is_constant:
         sd = 0.0
     else:
@@ -137,17 +139,19 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
         n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
     intervals: Entries = {}
     if is_constant or min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
-        quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
+        free = min(n_eff / _POINTS_A_FREE, _MOST_FREE)
+        quantile = t_95(free)
         sigma = math.sqrt(variance)
         # sd of Gaussian values scatters by sd / sqrt(2 df).
         share_of_sd = 1 / math.sqrt(2 * (n_eff_sd - 1))
-        half_width = quantile * sigma * math.hypot(1 / math.sqrt(n_eff), LIMIT * share_of_sd)
+        share_of_limit = math.hypot(1 / math.sqrt(n_eff), LIMIT * share_of_sd)
+        half_width = quantile * sigma * share_of_limit
         limits = around(bias, LIMIT * sigma)
-        intervals = {
-            "bias_interval": around(bias, quantile * math.sqrt(variance / n_eff)),
-            "sd_interval": sigma * np.exp(around(0.0, quantile * share_of_sd)),
-            "limit_intervals": tuple(around(limit, half_width) for limit in limits),
-        }
+        error_of_bias = math.sqrt(variance / n_eff)
+        intervals["bias_interval"] = around(bias, quantile * error_of_bias)
+        factors = np.exp(around(0.0, quantile * share_of_sd))
+        intervals["sd_interval"] = sigma * factors
+        intervals["limit_intervals"] = tuple(around(limit, half_width) for limit in limits)
     return Agreement(
         n=sums.n,
         bias=bias,
@@ -234,25 +238,33 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     scale = math.sqrt(error_ratio)
     a = x[is_valid].astype(np.float64)
     b = y[is_valid].astype(np.float64) / scale
+    a_mean = float(a.mean())
+    b_mean = float(b.mean())
     xx = np.var(a)
-    xy = np.mean((a - a.mean()) * (b - b.mean()))
+    xy = np.mean((a - a_mean) * (b - b_mean))
     yy = np.var(b)
     eigenvalue_gap = math.hypot(yy - xx, 2 * xy)
-    if xy == 0 or not min(xx, yy) > 0 or eigenvalue_gap < 1e-12 * (xx + yy):
+    is_round = eigenvalue_gap < 1e-12 * (xx + yy)
+    if xy == 0 or is_round or not min(xx, yy) > 0:
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
     axis_angle = math.atan2(2 * xy, xx - yy) / 2
     slope = math.tan(axis_angle) * scale
-    directions = _directions(axis_angle, xx * yy - xy * xy, eigenvalue_gap, min(n_eff, n))
+    determinant = float(xx * yy - xy * xy)
+    directions = _directions(axis_angle, determinant, eigenvalue_gap, min(n_eff, n))
     return Deming(
         slope=slope,
-        intercept=float(b.mean()) * scale - slope * float(a.mean()),
+        intercept=b_mean * scale - slope * a_mean,
         interval=pair_of(np.tan(directions) * scale),
         error_ratio=error_ratio,
     )
 
 
 def _directions(axis_angle: float, determinant: float, eigenvalue_gap: float, n_eff: float) -> Pair:
-    """Creasy's interval of the direction of a main axis; NaN where any may be right."""
+    """Creasy's interval of the direction of a main axis, in rad from the x axis.
+
+    Determinant and gap between the eigenvalues are those of the covariance matrix of both
+    quantities, in units in which their errors are alike. NaN where any direction may be right.
+    """
     if not n_eff >= LEAST_CLAIMED:
         return math.nan, math.nan
     spread = math.sqrt(max(determinant, 0.0) / (n_eff - 2))
@@ -387,7 +399,8 @@ def compare_instruments(
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x, y = filled(is_valid, (a, b), np.nan)
     correlation = correlate(x, y, pixel_um=pixel, point_um=point_um)
-    points, size = (x, y), pixel
+    points = (x, y)
+    size = pixel
     if point_um is not None:
         factor = square_px(point_um, pixel)
         points = (area_mean(x, factor), area_mean(y, factor))
@@ -395,9 +408,11 @@ def compare_instruments(
     agreement = bland_altman(*points, pixel_um=size)
     rings: RingCorrelation | None = None
     line: Deming | None = None
+    shared_um: float | None = None
     notes: list[str] = []
     try:
         rings = ring_correlation(x, y, pixel_um=pixel)
+        shared_um = rings.resolution_um
     except CannotMeasure as error:
         notes.append(error.text)
     if error_ratio is not None:
@@ -410,7 +425,7 @@ def compare_instruments(
         agreement=agreement,
         correlation=correlation,
         rings=rings,
-        shared_um=rings.resolution_um if rings else None,
+        shared_um=shared_um,
         line=line,
         difference=y - x,
         notes=tuple(notes),

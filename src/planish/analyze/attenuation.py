@@ -71,17 +71,24 @@ def attenuation_limit(
     check_varying(is_valid, a=a)
     covariance = covariance_of(a, Lags(is_valid, pixel))
     spectrum = np.asarray(fft.fft2(covariance)).real
-    along_y, along_x = (fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True))
+    rows, cols = covariance.shape
+    along_y = fft.fftfreq(rows, pixel[0])
+    along_x = fft.fftfreq(cols, pixel[1])
     if point_um is not None:
         point = np.outer(np.sinc(along_y * point_um), np.sinc(along_x * point_um))
         spectrum *= point**2
     turns = 2 * math.pi * np.hypot(along_y[:, None], along_x)
     quantiles = errors.ravel()
     if errors.size > 1:
-        quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
-    # Along an axis the standard deviation is the error over the square root of 2.
-    blurred = [np.sum(spectrum * np.exp(-((error * turns / 2) ** 2))) for error in quantiles]
-    return float(np.clip(np.mean(blurred) / np.sum(spectrum), 0.0, 1.0))
+        levels = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+        quantiles = np.quantile(errors, levels)
+    blurred: list[float] = []
+    for error in quantiles:
+        # Along an axis the standard deviation is the error over the square root of 2.
+        transfer = np.exp(-((error * turns / 2) ** 2))
+        blurred.append(np.sum(spectrum * transfer))
+    limit = np.mean(blurred) / np.sum(spectrum)
+    return float(np.clip(limit, 0.0, 1.0))
 
 
 def answer_attenuation(pair: ComparedMaps) -> Entries:
@@ -120,6 +127,6 @@ def _errors_of_places(pair: ComparedMaps) -> Floats:
     error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
     if not error_maps:
         return np.empty(0)
-    errors = [np.asarray(thinned(m)[1][0], dtype=np.float64) for m in error_maps]
-    errors_um = np.linalg.norm(errors, axis=0)
+    thinned_maps = [thinned(m)[1][0] for m in error_maps]
+    errors_um = np.linalg.norm(np.array(thinned_maps, dtype=np.float64), axis=0)
     return errors_um[np.isfinite(errors_um)]

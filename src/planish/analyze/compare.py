@@ -24,7 +24,7 @@ from planish.core.facts import NULL, Interval, Trust, Value
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.tables import grouped
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Entries, Pixel
+from planish.core.typing import Array, Bools, Entries, Pixel, TwoFields
 from planish.measure import PROPERTIES
 from planish.measure.registry import NEGATIVE_CONTROLS
 from planish.register import FittedTransform, fit_transform
@@ -118,9 +118,9 @@ class ComparisonRow(_Judged):
 def is_property(data: xr.DataArray) -> bool:
     """Whether a map is a measured property; standard errors, places and masks are none."""
     attrs = data.attrs
-    return attrs.get("role") == "property" or (
-        "support_um" in attrs and not str(data.name).endswith("_se")
-    )
+    if attrs.get("role") == "property":
+        return True
+    return "support_um" in attrs and not str(data.name).endswith("_se")
 
 
 def maps_to_correlate(maps: xr.Dataset) -> list[str]:
@@ -130,8 +130,10 @@ def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """
     if "image" in maps and "thickness" not in maps:
         return ["image"]
-    measured = {str(name): data for name, data in maps.data_vars.items() if is_property(data)}
-    names = [name for name, data in measured.items() if not is_axial(data)]
+    names: list[str] = []
+    for name, data in maps.data_vars.items():
+        if is_property(data) and not is_axial(data):
+            names.append(str(name))
     # A store gives its maps in the order of the alphabet: here they stand in one order, wherever
     # they come from.
     order = {name: index for index, name in enumerate(PROPERTIES)}
@@ -184,12 +186,18 @@ def correlate_layers(
 def _sums_of_pairs(
     layers: tuple[xr.Dataset, xr.Dataset], pairs: Sequence[tuple[str, str]], point_um: float
 ) -> list[PairAtSizes]:
-    """Sum up pairs of maps of two layers over the pixels valid in both, in one pass."""
+    """Sum up pairs of maps of two layers over the pixels valid in both, in one pass.
+
+    A pair names the map of the first layer and that of the second. A map is read once, however many
+    pairs it is in: its key is the number of its layer and its name.
+    """
     sums = _empty_sums(Grid.of(layers[0]), point_um, len(pairs))
-    keys = dict.fromkeys((k, pair[k]) for pair in pairs for k in (0, 1))
+    keys = dict.fromkeys(key for pair in pairs for key in enumerate(pair))
     maps = [layers[k][name] for k, name in keys]
-    for rows, (valid_a, valid_b, *parts) in read_bands(*(m["valid"] for m in layers), *maps):
-        masked = [np.where(valid_a & valid_b, part, np.nan) for part in parts]
+    masks = [layer["valid"] for layer in layers]
+    for rows, (valid_a, valid_b, *parts) in read_bands(*masks, *maps):
+        is_valid = valid_a & valid_b
+        masked = [np.where(is_valid, part, np.nan) for part in parts]
         values = dict(zip(keys, masked, strict=True))
         x = [values[0, name] for name, _ in pairs]
         y = [values[1, name] for _, name in pairs]
@@ -269,12 +277,15 @@ def comparison_rows(
 ) -> Iterator[ComparisonRow]:
     """Yield the headline correlation by the registrations the paper compares and by the run's.
 
-    ``away`` gives the pixels away from holes. All marks count, as in the paper: misfits show a
-    wrong registration.
+    ``linked`` are the maps on the pixels of the image, ``sheet`` those of the sheet: surfaces, maps
+    and flat coordinates; ``name`` is the map that leads. ``away`` gives the pixels of a part of the
+    grid that are away from holes. All marks count, as in the paper: misfits show a wrong
+    registration.
     """
     grid = Grid.of(linked)
     sheet_map = sheet["surfaces"][name].values
-    variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
+    variant_of_run = _Variant(f"flattened, {fit.model}", fit.rms_um, None)
+    variants = [*_variants(sheet, fit), variant_of_run]
     sums = _empty_sums(grid, point_um, len(variants))
     for rows, (linked_map, is_valid, image) in read_bands(
         linked[name], linked["valid"], linked["image"]
@@ -288,12 +299,12 @@ def comparison_rows(
     of_run = _rows_with_maps(sums[-1], point_um, light_off=light_off)
     for variant, variant_sums in zip(variants, sums, strict=True):
         rows = _rows_with_maps(variant_sums, point_um, light_off=light_off)
-        for (row, pair, _), (run_row, run_pair, pixel_um) in zip(rows, of_run, strict=True):
+        for row, row_of_run in zip(rows, of_run, strict=True):
             change: Entries = {}
-            if variant.mesh is not None and row.n:
-                change = _change(run_row.r - row.r, pair, run_pair, pixel_um)
+            if variant.mesh is not None and row.correlation.n:
+                change = _change(row, row_of_run)
             yield ComparisonRow.holding(
-                row,
+                row.correlation,
                 registration=variant.title,
                 property=name,
                 marks_rms_um=variant.rms_um,
@@ -301,26 +312,38 @@ def comparison_rows(
             )
 
 
-def _rows_with_maps(
-    sums: PairAtSizes, point_um: float, *, light_off: bool
-) -> list[tuple[Correlation, Sequence[Array], Pixel]]:
-    """The correlations of all sizes, each with the two maps that stand for it, and their pixel."""
+class _RowWithMaps(NamedTuple):
+    """A correlation, with the two maps that stand for it and their pixel."""
+
+    correlation: Correlation
+    maps: TwoFields
+    pixel_um: Pixel
+
+
+def _rows_with_maps(sums: PairAtSizes, point_um: float, *, light_off: bool) -> list[_RowWithMaps]:
+    """The correlations of all sizes."""
     (pixel, _), (points, _) = _sizes(sums, light_off=light_off)
-    return [(pixel, *sums.cells()), (points, sums.points(), point_um)]
+    (x, y), cell_um = sums.cells()
+    return [_RowWithMaps(pixel, (x, y), cell_um), _RowWithMaps(points, sums.points(), point_um)]
 
 
-def _change(
-    change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Array], pixel_um: Pixel
-) -> Entries:
-    change = paired_difference(
-        (pair[0], pair[1]), (pair_of_run[0], pair_of_run[1]), pixel_um=pixel_um
-    )
+def _change(row: _RowWithMaps, row_of_run: _RowWithMaps) -> Entries:
+    """How much larger r is by the registration of the run, with the interval of that."""
+    change_of_r = row_of_run.correlation.r - row.correlation.r
+    change = paired_difference(row.maps, row_of_run.maps, pixel_um=row_of_run.pixel_um)
     # The interval is told from cells, which may be larger than the pixels that r is of.
-    low, high = (v + (change_of_r - change.difference) for v in change.interval)
-    return {"difference": change_of_r, "difference_interval": (low, high)}
+    offset = change_of_r - change.difference
+    low, high = change.interval
+    return {"difference": change_of_r, "difference_interval": (low + offset, high + offset)}
 
 
 def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[_Variant]:
+    """Registrations of the paper but that of the run, each fitted anew to the marks of the run.
+
+    Places of marks are in the flat sheet; those by projection are read off maps of the projected
+    coordinates there.
+    """
+    least_um = min(pitch(sheet["surfaces"]))
     for title, coordinates, model in REGISTRATION_VARIANTS:
         if model == fit.model and coordinates == ("u", "v"):
             continue  # the run's own
@@ -334,6 +357,7 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
         variant_fit = fit_transform(
             marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False
         )
-        uv = np.stack([sheet["flat"][coordinate].values for coordinate in coordinates], axis=-1)
-        mesh = Mesh.of(variant_fit.transform(uv), least_um=min(pitch(sheet["surfaces"])))
+        nodes = [sheet["flat"][coordinate].values for coordinate in coordinates]
+        uv = np.stack(nodes, axis=-1)
+        mesh = Mesh.of(variant_fit.transform(uv), least_um=least_um)
         yield _Variant(title, variant_fit.rms_um, mesh)

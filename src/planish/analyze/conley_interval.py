@@ -19,6 +19,8 @@ from planish.core.grid import shorter_side_um
 from planish.core.typing import Array, Bools, Entries, Pair, Pixel, pair_of
 from planish.texture.covariance import BANDWIDTH, Lags, PairCovariances
 
+_MOST_CELLS = 400  # of which all pairs are weighted for the critical value
+
 
 class ConleyInterval(DescribedModel):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999).
@@ -93,15 +95,19 @@ def conley_interval(
     r = correlation.r
     error = critical = ratio = math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
-        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r)
+        pair = PairCovariances(x, y, Lags(is_valid, pixel))
+        spatial_error, ratio = pair.spatial_error(r)
         if spatial_error > 0:
             error = spatial_error
             critical = critical_value(is_valid, pixel)
-    z = math.atanh(r) if critical > 0 else math.nan
+    z = math.nan
+    if critical > 0:
+        z = math.atanh(r)
+    limits = np.tanh(around(z, critical * error))
     return ConleyInterval(
         point_um=correlation.point_um,
         r=r,
-        interval=pair_of(np.tanh(around(z, critical * error))),
+        interval=pair_of(limits),
         standard_error=error,
         critical=critical,
         ratio=ratio,
@@ -111,19 +117,24 @@ def conley_interval(
 def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     """Standard errors within which the mean of independent values on a mask lies with 95 %.
 
-    The standard errors are taken as they are estimated.
+    ``is_valid`` (rows, cols) are pixels of ``pixel_um`` along y and x. The standard errors are
+    taken as :meth:`PairCovariances.spatial_error` estimates them, with weights that fall to 0.
 
     The squared standard error is a quadratic form of the values about their mean, whose expectation
     and variance follow from the weights; its distribution is taken for that of a chi-square with
-    the same two (Satterthwaite 1946).
+    the same two (Satterthwaite 1946). The weights of every pair of places are written out, so it is
+    done for cells of k x k pixels, 400 or fewer of them.
     """
-    k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
-    is_cell = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (k, k)))
+    pixels_a_cell = np.count_nonzero(is_valid) / _MOST_CELLS
+    k = max(1, math.ceil(math.sqrt(pixels_a_cell)))
+    ones = np.where(is_valid, 1.0, np.nan)
+    is_cell = np.isfinite(area_mean(ones, (k, k)))
     places_um = np.argwhere(is_cell) * np.multiply(k, pixel_um)
     bandwidth_um = BANDWIDTH * shorter_side_um(is_valid.shape, pixel_um)
     distance_um = np.linalg.norm(places_um[:, None] - places_um, axis=-1)
     weight = np.maximum(1.0 - distance_um / bandwidth_um, 0.0)
     rows = weight.mean(axis=1)
+    # As values count about their mean.
     centred_weight = weight - rows - rows[:, None] + rows.mean()
     expected = np.trace(centred_weight)
     free = expected**2 / np.sum(centred_weight * centred_weight)

@@ -125,13 +125,15 @@ class PairSums:
         if n == 0:
             return
         parts = np.empty((3, n))
-        parts[0], parts[1] = x[is_valid], y[is_valid]
+        parts[0] = x[is_valid]
+        parts[1] = y[is_valid]
         np.subtract(parts[1], parts[0], out=parts[2])
         mean = parts.mean(axis=1)
         parts -= mean[:, None]
         off = mean - self._mean
         share = n / (self.n + n)
-        self._square += parts @ parts.T + np.outer(off, off) * (self.n * share)
+        between = np.outer(off, off) * (self.n * share)
+        self._square += parts @ parts.T + between
         self._mean += off * share
         self.n += n
 
@@ -158,7 +160,8 @@ class PairSums:
         if self.n < LEAST or any(self.constant):
             return math.nan
         (saa, sab), (_, sbb) = self._square[:2, :2]
-        return float(np.clip(sab / math.sqrt(saa * sbb), -1.0, 1.0))
+        r = sab / math.sqrt(saa * sbb)
+        return float(np.clip(r, -1.0, 1.0))
 
     @property
     def lines(self) -> tuple[float, float, float]:
@@ -175,8 +178,11 @@ class PairSums:
         """Mean and standard deviation of y - x; NaN where there are too few places."""
         if self.n == 0:
             return math.nan, math.nan
-        variance = self._square[2, 2] / (self.n - 1) if self.n > 1 else math.nan
-        return float(self._mean[2]), math.sqrt(variance)
+        mean = float(self._mean[2])
+        if self.n == 1:
+            return mean, math.nan
+        variance = self._square[2, 2] / (self.n - 1)
+        return mean, math.sqrt(variance)
 
 
 def sums_of(x: Array, y: Array) -> PairSums:
@@ -271,21 +277,28 @@ def correlate(
     (4800, 0.6, [0.58, 0.62])
     """
     pixel = on_one_grid(a, b, pixel_um, mask)
-    if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
+    least_um = max(pixel) * (1 - 1e-9)
+    if point_um is not None and not least_um <= point_um < math.inf:
         raise SizeError(
             f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a"
             " larger one."
         )
     shape = (a.shape[0], a.shape[1])
-    cells = 0 if point_um is not None else most_cells
-    pair = PairAtSizes(shape, pixel_um=pixel, point_um=point_um, most_cells=cells)
+    if point_um is not None:
+        most_cells = 0  # no correlation per pixel
+    pair = PairAtSizes(shape, pixel_um=pixel, point_um=point_um, most_cells=most_cells)
     masks = [] if mask is None else [mask]
     pair.add_maps(a, b, *masks)
-    return pair.at_pixel() if point_um is None else pair.at_points()
+    if point_um is None:
+        return pair.at_pixel()
+    return pair.at_points()
 
 
 def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = None) -> Pair:
-    """Return the pixel along y and x of two maps on one grid.
+    """Return the pixel along y and x, in um, of two maps (rows, cols) on one grid.
+
+    It is ``pixel_um``, or that of the first map with coordinates. A map that is no DataArray lies
+    where the others do.
 
     Raises InputError or SizeError where they are not on one grid, hold no numbers, or state another
     pixel than ``pixel_um``.
@@ -303,8 +316,8 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
             "The maps have no pixel size: they are no maps with coordinates in um. Give it with"
             " `pixel_um`."
         )
-    placed = [m for m in maps.values() if isinstance(m, xr.DataArray)]
-    if not all(_lie_alike(placed[0], m) for m in placed[1:]):
+    with_places = [m for m in maps.values() if isinstance(m, xr.DataArray)]
+    if not all(_lie_alike(with_places[0], m) for m in with_places[1:]):
         raise InputError(
             "The maps have other places. Bring both onto one grid first (planish.resample_maps)."
         )
@@ -357,7 +370,9 @@ def valid_pixels(
     """
     pixel = on_one_grid(a, b, pixel_um, mask)
     is_valid = np.isfinite(np.asarray(a)) & np.isfinite(np.asarray(b))
-    return is_valid if mask is None else is_valid & np.asarray(mask), pixel
+    if mask is not None:
+        is_valid &= np.asarray(mask)
+    return is_valid, pixel
 
 
 def filled(is_valid: Bools, maps: Sequence[Array], value: float) -> list[Floats]:
@@ -404,14 +419,17 @@ class PairAtSizes:
         self._pixel_um = pixel_um
         self._point_um = point_um or math.nan
         point_px = square_px(self._point_um, pixel_um)
-        self._points = AreaMeans(shape, point_px) if min(point_px) >= 1 - 1e-9 else None
-        self._factor = 0
+        self._points = None
+        if min(point_px) >= 1 - 1e-9:
+            self._points = AreaMeans(shape, point_px)
+        self._factor = 0  # edge of a cell that stands for pixels, in pixels
         self._cells = None
         if most_cells:
-            self._factor = max(1, math.ceil(math.sqrt(math.prod(shape) / most_cells)))
+            pixels_a_cell = math.prod(shape) / most_cells
+            self._factor = max(1, math.ceil(math.sqrt(pixels_a_cell)))
             self._cells = AreaMeans(shape, (self._factor, self._factor))
         self._sums = PairSums()
-        self._ranked: list[Floats] = []
+        self._ranked = [np.empty((2, 0))]  # every k-th pixel of both, band by band
 
     def add_maps(self, a: Rows, b: Rows, *masks: Rows) -> None:
         """Add all rows of both maps, where all masks are true."""
@@ -421,7 +439,11 @@ class PairAtSizes:
             self.add(rows.start, x, y)
 
     def add(self, begin: int, x: Array, y: Array) -> None:
-        """Add the rows from ``begin`` on of both maps; NaN is missing."""
+        """Add the rows from ``begin`` on of both maps (rows, cols); NaN is missing.
+
+        To the means over cells and points and, where r per pixel is wanted, to its sums and to the
+        pixels that are ranked: every k-th along either axis, counted from the first row of the map.
+        """
         is_valid = np.isfinite(x) & np.isfinite(y)
         for means in (self._cells, self._points):
             if means is not None:
@@ -438,7 +460,7 @@ class PairAtSizes:
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
         cells, pitch = self.cells()
-        ranked = np.concatenate(self._ranked, axis=1) if self._ranked else np.empty((2, 0))
+        ranked = np.concatenate(self._ranked, axis=1)
         pixel_um = math.sqrt(math.prod(self._pixel_um))
         return _stated(self._sums, cells, ranked, pitch, pixel_um)
 
@@ -449,7 +471,8 @@ class PairAtSizes:
         """
         points = self.points()
         size_um = self._point_um
-        ranked = np.stack(points)[:, np.isfinite(points).all(axis=0)]
+        is_valid = np.isfinite(points).all(axis=0)
+        ranked = np.stack(points)[:, is_valid]
         return _stated(sums_of(*points), points, ranked, (size_um, size_um), size_um)
 
     def sizes(self) -> Iterator[tuple[Correlation, PairSums]]:
@@ -474,7 +497,9 @@ def _stated(
 ) -> Correlation:
     """Say how sure the correlation is that stands in the sums.
 
-    ``cells`` are both maps, as they are or averaged.
+    ``cells`` are both maps (rows, cols), as they are or averaged, with ``pitch_um`` along y and x:
+    their covariances say how many points are independent. ``ranked`` (2, n) are the values that the
+    rank correlation is of, none where it is empty; ``support_um`` is the edge of a point.
     """
     r = sums.r
     slope, intercept, slope_x_on_y = sums.lines
@@ -498,7 +523,7 @@ def _stated(
                     f"{100 * share:.0f} % of the points of {which.lower()} map have the same value."
                 )
     fields |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
-    fields |= _certainty(r, sums, cells, pitch_um, warnings)
+    fields |= _certainty(sums, cells, pitch_um, warnings)
     return Correlation(**fields, warnings=tuple(warnings))
 
 
@@ -508,9 +533,14 @@ def _lags_of(mask_bytes: bytes, shape: Shape2D, pitch_um: Pair) -> Lags:
 
 
 def _certainty(
-    r: float, sums: PairSums, cells: Sequence[Floats], pitch_um: Pair, warnings: list[str]
-) -> dict[str, float | Pair]:
-    """Independent points, p and interval, as far as they may be claimed; adds to ``warnings``."""
+    sums: PairSums, cells: Sequence[Floats], pitch_um: Pair, warnings: list[str]
+) -> Entries:
+    """Independent points, p and interval, as far as they may be claimed; adds to ``warnings``.
+
+    Sums are of single points, ``cells`` both maps (rows, cols) whose covariances by lag count. The
+    interval in Fisher's z is the wider of that of n_eff points and that of Bartlett's variance.
+    """
+    r = sums.r
     is_valid = np.isfinite(cells[0]) & np.isfinite(cells[1])
     if np.count_nonzero(is_valid) < LEAST:
         warnings.append("The maps are too small to tell how many points are independent.")
@@ -538,10 +568,12 @@ def _certainty(
     quantile = float(special.ndtri(0.975))
     width = quantile / math.sqrt(n_eff - 3)
     if 0 < variance_of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
-        width = max(width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))
+        quantile_of_t = t_95(1 / variance_of_z - 2)
+        width = max(width, quantile_of_t * math.sqrt(variance_of_z))
     if trend := shared_trend(x, y, is_valid):
         warnings.append(trend)
     interval = pair_of(np.tanh(around(math.atanh(r), width)))
-    p = p_of(r * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2)
+    free = n_eff - 2
+    p = p_of(r * math.sqrt(free / (1 - r * r)), free)
     n_eff_interval = (quantile / width) ** 2 + 3
     return {"n_eff": n_eff, "p": p, "interval": interval, "n_eff_interval": n_eff_interval}

@@ -178,11 +178,9 @@ def correlation_diagnostics(
     a_map, b_map = a_maps[a[1]], b_maps[b[1]]
     grid = Grid.of(a_maps)
     is_same_quantity = a[1] == b[1] and "image" not in (a[1], b[1])
+    point_um = params.point_um if is_same_quantity else None
     accumulator = PairAtSizes(
-        grid.shape,
-        pixel_um=grid.pixel_um,
-        point_um=params.point_um if is_same_quantity else None,
-        most_cells=CELLS,
+        grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS
     )
     accumulator.add_maps(a_map, b_map, a_maps["valid"], b_maps["valid"])
     (x, y), cell_um = accumulator.cells()
@@ -191,10 +189,15 @@ def correlation_diagnostics(
         check_varying(is_valid, x=x, y=y)
     except CannotMeasure:
         return None
+    a_units = str(a_map.attrs.get("units", "1"))
+    b_units = str(b_map.attrs.get("units", "1"))
+    repeated_points = None
+    if is_same_quantity:
+        repeated_points = accumulator.points()
     pair = ComparedMaps(
         a=a,
         b=b,
-        units=(str(a_map.attrs.get("units", "1")), str(b_map.attrs.get("units", "1"))),
+        units=(a_units, b_units),
         x=x,
         y=y,
         lags=Lags(is_valid, cell_um),
@@ -204,7 +207,7 @@ def correlation_diagnostics(
         columns=columns or {},
         md_deg=md_deg,
         light=light,
-        repeated_points=accumulator.points() if is_same_quantity else None,
+        repeated_points=repeated_points,
     )
     answers: Entries = {}
     for question in QUESTIONS:

@@ -82,9 +82,13 @@ class Correlogram(CorrelogramProfiles):
 
 
 def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
-    """What lies along one axis, at lag 0 and at most 40 lags to either side."""
-    step = math.ceil((lags_um.size // 2) / 40)
-    thinning = slice(lags_um.size // 2 % step, None, step)
+    """What lies along one axis, at lag 0 and at most 40 lags to either side.
+
+    ``along`` are r, its limit and the limit of any lag, at ``lags_um``, whose middle is lag 0.
+    """
+    middle = lags_um.size // 2
+    step = math.ceil(middle / 40)
+    thinning = slice(middle % step, None, step)
     lags, r, limit, of_any = (tuple(values[thinning].tolist()) for values in (lags_um, *along))
     return LagProfile(lags_um=lags, r=r, limit=limit, limit_of_any=of_any)
 
@@ -145,18 +149,22 @@ def cross_correlogram(
 def correlogram_of(
     maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float
 ) -> Correlogram:
-    """The same for maps, given the pixels that count in each, and the lags of those in both."""
-    a, b = maps
+    """The same for maps (rows, cols).
+
+    Given are the pixels that count in each, and the lags of those that count in both.
+    """
+    a, b = (values.astype(np.float64) for values in maps)
+    a_valid, b_valid = valid
     pixel = lags.pixel_um
     check_varying(lags.is_valid)
-    check_varying(valid[0], a=a)
-    check_varying(valid[1], b=b)
+    check_varying(a_valid, a=a)
+    check_varying(b_valid, b=b)
     most = np.array(a.shape) // 2
     asked = np.floor(np.divide(reach_um, pixel) + 1e-9).astype(np.intp)
     zero_row, zero_col = np.clip(asked, 1, np.maximum(most, 1)).tolist()
     reach: Shape2D = (zero_row, zero_col)
-    ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=reach)
-    r = ncc(b.astype(np.float64))
+    ncc = MaskedNcc(a, a_valid=a_valid, b_valid=b_valid, reach=reach)
+    r = ncc(b)
     if not np.isfinite(r).any():
         raise CannotMeasure(
             "At no lag are there enough pairs that differ. Give a larger map or a smaller mask."
@@ -169,10 +177,13 @@ def correlogram_of(
     if inner:
         widths, angle = _widths(r / peak_r, summit, pixel)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
-    beyond_chance = None
+    beyond_chance = None  # where nothing is claimed
     if np.isfinite(of_any).any():
         beyond_chance = bool(np.any(np.abs(r) > of_any))
     by_lag = np.stack([r, band, of_any])
+    lag_um = pair_of((summit - reach) * pixel)
+    along_x = _profile(lags_x_um, *by_lag[:, zero_row])
+    along_y = _profile(lags_y_um, *by_lag[:, :, zero_col])
     return Correlogram(
         r=r,
         lag_y_um=lags_y_um,
@@ -184,30 +195,37 @@ def correlogram_of(
         r_at_zero=r[reach],
         peak_r=peak_r,
         inner=inner,
-        lag_um=pair_of((summit - reach) * pixel),
+        lag_um=lag_um,
         widths_um=widths,
         angle_deg=angle,
         n_eff=n_eff,
         limit_of_any=of_any[reach],
         beyond_chance=beyond_chance,
-        along_x=_profile(lags_x_um, *by_lag[:, zero_row]),
-        along_y=_profile(lags_y_um, *by_lag[:, :, zero_col]),
+        along_x=along_x,
+        along_y=along_y,
     )
 
 
 def _summit(r: Floats) -> tuple[Floats, float, bool]:
-    """Row and column of the largest ``|r|``, r there, and whether it is a summit."""
-    row, col = divmod(int(np.nanargmax(np.abs(r))), r.shape[1])
+    """Row and column of the largest ``|r|`` of all lags, r there, and whether it is a summit.
+
+    A summit is that of a parabola through the lag and its 8 neighbours, and lies between them;
+    elsewhere row, column and r are those of the lag itself.
+    """
+    index = int(np.nanargmax(np.abs(r)))
+    row, col = divmod(index, r.shape[1])
     place = np.array([row, col], dtype=np.float64)
     highest = r[row, col]
     pixel_peak = place, highest, False
-    neighbours = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+    rows = slice(max(row - 1, 0), row + 2)
+    cols = slice(max(col - 1, 0), col + 2)
+    neighbours = r[rows, cols]
     if neighbours.shape != (3, 3) or not np.isfinite(neighbours).all():
         return pixel_peak
     y, x = np.mgrid[-1.0:2.0, -1.0:2.0].reshape(2, 9)
     terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1)
     c = np.linalg.lstsq(terms, neighbours.ravel(), rcond=None)[0]
-    sign = math.copysign(1.0, highest)
+    sign = math.copysign(1.0, highest)  # a trough of r is a summit of |r|
     curvature = c[[[3, 4], [4, 5]]] * sign
     if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
         return pixel_peak
@@ -219,17 +237,20 @@ def _summit(r: Floats) -> tuple[Floats, float, bool]:
 
 
 def _widths(height: Floats, summit: Floats, pixel: Pair) -> tuple[Pair, float]:
-    """Find the full widths at half height, and the direction of the longer one.
+    """Find the full widths at half height, in um, and the direction of the longer one, in degrees.
 
-    The widths are along the main axes of what lies above half height.
+    ``height`` (rows, cols) is r over that of the ``summit`` (row, column). The longer width stands
+    first; both are along the main axes of what lies above half height. NaN where that reaches the
+    border.
 
-    The border is looked for along rays; second moments of an ellipse are a quarter of its squared
-    half axes.
+    The border is looked for along rays, in steps of a quarter of a pixel; second moments of an
+    ellipse are a quarter of its squared half axes.
     """
     rays = np.arange(_RAYS)
     angles = rays * (2 * math.pi / _RAYS)
     directions = np.stack([np.sin(angles), np.cos(angles)])  # along y and x, in um
-    steps = np.arange(int(math.hypot(*height.shape) / 0.25)) * 0.25 * min(pixel)
+    n_steps = int(math.hypot(*height.shape) / 0.25)
+    steps = np.arange(n_steps) * 0.25 * min(pixel)
     steps_px = directions[:, :, None] * steps / np.reshape(pixel, (2, 1, 1))
     places = summit[:, None, None] + steps_px
     ray_heights = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
@@ -241,19 +262,25 @@ def _widths(height: Floats, summit: Floats, pixel: Pair) -> tuple[Pair, float]:
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
     part = (inner - 0.5) / (inner - outer)
-    half_height_um = steps[first - 1] + part * (steps[first] - steps[first - 1])
+    inner_um = steps[first - 1]
+    half_height_um = inner_um + part * (steps[first] - inner_um)
     area = np.sum(half_height_um**2) / 2
     moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)
     angle = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
     angle = 90 - (90 - angle) % 180  # from -90, without it, to 90
-    return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
+    shorter_um, longer_um = (4 * math.sqrt(value) for value in values)
+    return (longer_um, shorter_um), angle
 
 
 def _limits(
     maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools
 ) -> tuple[float, Floats, Floats]:
-    """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
+    """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag.
+
+    ``pairs`` are the numbers of pairs at each lag (lags along y, along x), and ``looked_at`` the
+    lags with enough of them. Limits are NaN elsewhere, and where too few points are independent.
+    """
     x, y = filled(lags.is_valid, maps, 0.0)
     pair = PairCovariances(x, y, lags)
     n_eff = pair.n_eff(lags.n)
@@ -263,10 +290,12 @@ def _limits(
     # Fewer pairs hold as many fewer independent ones.
     n_eff_of_lag = np.maximum(n_eff * np.minimum(pairs / lags.n, 1.0), 3.0)
     # Covariance of r over lags; how fast it falls from lag to lag says how rough r is.
-    spectrum = np.asarray(fft.rfft2(pair.xx)) * np.asarray(fft.rfft2(pair.yy))
-    together = np.asarray(fft.irfft2(spectrum, pair.xx.shape))
-    neighbours = np.array([together[1, 0], together[0, 1]]) / together[0, 0]
-    slopes = np.sqrt(2 * np.maximum(1 - neighbours, 0.0))
+    spectrum_x = np.asarray(fft.rfft2(pair.xx))
+    spectrum_y = np.asarray(fft.rfft2(pair.yy))
+    together = np.asarray(fft.irfft2(spectrum_x * spectrum_y, pair.xx.shape))
+    next_lags = np.array([together[1, 0], together[0, 1]])
+    falls = 1 - next_lags / together[0, 0]
+    slopes = np.sqrt(2 * np.maximum(falls, 0.0))
     edge, face = (np.array(pairs.shape) - 1) * slopes
     count = int(np.count_nonzero(looked_at))
 
@@ -287,7 +316,8 @@ def _limits(
     limits: list[Floats] = []
     for tail in (_CHANCE / 2, normal_tail(u)):
         t = np.asarray(-special.stdtrit(free, tail))
-        limit = np.interp(inverse, nodes, t / np.sqrt(t * t + free))
+        limit_at_nodes = t / np.sqrt(t * t + free)
+        limit = np.interp(inverse, nodes, limit_at_nodes)
         limits.append(np.where(looked_at, limit, math.nan))
     return n_eff, limits[0], limits[1]
 
@@ -295,5 +325,6 @@ def _limits(
 def answer_correlogram(pair: ComparedMaps) -> Entries:
     """The correlogram with its profiles through lag 0; nothing where there are too few lags."""
     is_valid = pair.lags.is_valid
-    correlogram = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
+    maps = (pair.x, pair.y)
+    correlogram = correlogram_of(maps, (is_valid, is_valid), pair.lags, reach_um=500.0)
     return {"correlogram": CorrelogramProfiles.holding(correlogram)}

@@ -64,11 +64,12 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel) -> IndependentPoi
     check_varying(is_valid, x=x)
     dx, dy = (centred(m, is_valid) for m in (x, y))
     residuals = unexplained(dy, dx)
-    n_eff, n_eff_square = (
-        correlate(m, residuals, mask=is_valid, pixel_um=pixel).n_eff for m in (dx, dx * dx)
-    )
+    of_line = correlate(dx, residuals, mask=is_valid, pixel_um=pixel)
+    of_square = correlate(dx * dx, residuals, mask=is_valid, pixel_um=pixel)
     n_eff_level = scatter_of(residuals, Lags(is_valid, pixel))[1]
-    return IndependentPoints(n_eff=n_eff, n_eff_square=n_eff_square, n_eff_level=n_eff_level)
+    return IndependentPoints(
+        n_eff=of_line.n_eff, n_eff_square=of_square.n_eff, n_eff_level=n_eff_level
+    )
 
 
 class Curvature(DescribedModel):
@@ -143,7 +144,9 @@ def straight_or_curved(
     'curved, saturating'
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
-    n_bend = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
+    n_bend = n_slope
+    if n_eff_square is not None:
+        n_bend = known_points(x, y, n_eff_square)[2]
     scale = xs.std()
     u = (xs - xs.mean()) / scale
     line, r2_line = _least_squares(np.vander(u, 2), ys, n_slope)
@@ -157,7 +160,9 @@ def straight_or_curved(
     elif not sign_of(slope_interval):
         verdict = "curved, without a slope"
     else:  # a curve saturates where its slope, up or down, loses steepness as x grows
-        verdict = "curved, saturating" if curvature * slope < 0 else "curved, growing"
+        verdict = "curved, growing"
+        if curvature * slope < 0:
+            verdict = "curved, saturating"
     return Curvature(
         n=xs.size,
         n_eff=n_slope,
@@ -208,13 +213,20 @@ def _check_independent(n_eff: float, n: int) -> None:
 
 
 def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:
-    """Coefficients and half widths of their 95 % intervals, (2, terms), and r2."""
+    """Coefficients and half widths of their 95 % intervals, (2, terms), and r2.
+
+    ``terms`` (points, terms) are those of the curve at each point; NaN is r2 of equal values.
+    """
     coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
-    mean_square = np.mean((values - terms @ coefficients) ** 2)
+    residuals = values - terms @ coefficients
+    mean_square = np.mean(residuals**2)
     variance = values.var()
-    r2 = 1 - mean_square / variance if variance > 0 else math.nan
+    r2 = math.nan
+    if variance > 0:
+        r2 = 1 - mean_square / variance
     free = n_eff - terms.shape[1]
-    spread = np.diag(np.linalg.inv(terms.T @ terms / len(values))) * mean_square / free
+    inverse = np.linalg.inv(terms.T @ terms / len(values))
+    spread = np.diag(inverse) * mean_square / free
     half_widths = np.sqrt(spread) * t_95(free)
     return np.array([coefficients, half_widths], dtype=np.float64), r2
 
