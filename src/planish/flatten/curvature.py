@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from planish.core.facts import ResultModel, Value
+from planish.core.facts import DescribedModel, Value
 from planish.core.grid import corners_of
 from planish.core.typing import Floats
 from planish.flatten.distortion import node_blocks
@@ -16,37 +16,32 @@ _HALVES = ((0, 1, 2), (0, 2, 3))  # corners of the triangles of a cell
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
 
 
-class CurvatureVerdict(ResultModel):
+class CurvatureVerdict(DescribedModel):
     """Whether the surface can be flat at all."""
 
-    patch_um: float = Field(
-        description="Half the side of the patch over which the curvature is averaged."
-    )
-    limit: float = Field(description="Strain that paper carries.")
-    share: Value = Field(
-        description="Share of the surface on which a patch needs more strain than that to be flat."
-    )
-    largest: Value = Field(description="Largest strain that a patch needs.")
-    verdict: str = Field(description="The same in a sentence.")
+    patch_um: float
+    """Half the side of the patch over which the curvature is averaged."""
+    limit: float
+    """Strain that paper carries."""
+    share: Value
+    """Share of the surface on which a patch needs more strain than that to be flat."""
+    largest: Value
+    """Largest strain that a patch needs."""
+    verdict: str
+    """The same in a sentence."""
 
 
 class CurvatureCheck(CurvatureVerdict):
     """The strain by which a surface differs from one paper can have, at each node (rows, cols)."""
 
-    curvature: Floats = Field(
-        exclude=True,
-        description=(
-            "Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than"
-            " half of the patch is known."
-        ),
-    )
-    strain: Floats = Field(
-        exclude=True,
-        description=(
-            "In-plane strain by which a patch of that curvature has to be stretched and squeezed to"
-            " be flat, abs(curvature) patch_um^2 / 16."
-        ),
-    )
+    curvature: Floats = Field(exclude=True)
+    """Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than half of
+    the patch is known.
+    """
+    strain: Floats = Field(exclude=True)
+    """In-plane strain by which a patch of that curvature has to be stretched and squeezed to be
+    flat, abs(curvature) patch_um^2 / 16.
+    """
 
 
 def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureCheck:

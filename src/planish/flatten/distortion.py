@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from pydantic import Field
 
-from planish.core.facts import ResultModel, Value
+from planish.core.facts import DescribedModel, Value
 from planish.core.grid import corners_of
 from planish.core.robust import percentiles
 from planish.core.transform import are_known
@@ -51,14 +50,19 @@ def _corners(row: Ints, col: Ints, half: Ints) -> tuple[Ints, Ints]:
     return row[:, None] + down, col[:, None] + across
 
 
-class GeodesicError(ResultModel):
+class GeodesicError(DescribedModel):
     """Relative errors of long distances: flat against along the surface."""
 
-    p50: Value = Field(description="Median relative error.")
-    p95: Value = Field(description="95th percentile of the relative error.")
-    largest: Value = Field(description="Largest relative error.")
-    used: int = Field(description="Lines that stay on the sheet from end to end.")
-    dropped: int = Field(description="Lines that leave it through a hole or the outline.")
+    p50: Value
+    """Median relative error."""
+    p95: Value
+    """95th percentile of the relative error."""
+    largest: Value
+    """Largest relative error."""
+    used: int
+    """Lines that stay on the sheet from end to end."""
+    dropped: int
+    """Lines that leave it through a hole or the outline."""
 
 
 def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator) -> GeodesicError:
@@ -219,48 +223,54 @@ def _leave_triangles(
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
 
 
-class Spread(ResultModel):
+class Spread(DescribedModel):
     """Distribution of one strain over the mesh."""
 
-    median: Value = Field(description="Median over the cells.")
-    p5: Value = Field(description="5th percentile.")
-    p95: Value = Field(description="95th percentile.")
-    p95_abs: Value = Field(description="95th percentile of the absolute value.")
-    max_abs: Value = Field(description="Largest absolute value.")
+    median: Value
+    """Median over the cells."""
+    p5: Value
+    """5th percentile."""
+    p95: Value
+    """95th percentile."""
+    p95_abs: Value
+    """95th percentile of the absolute value."""
+    max_abs: Value
+    """Largest absolute value."""
 
 
-class Distortion(ResultModel):
+class Distortion(DescribedModel):
     """How much the flattening strained the sheet."""
 
-    area: Spread = Field(description="Area strain: ratio of areas less 1.")
-    axial_u: Spread = Field(description="Strain of the cells' edges along the rows of the mesh.")
-    axial_v: Spread = Field(description="Strain of the cells' edges along its columns.")
-    shear: Spread = Field(description="Change of the angle between both, rad.")
-    cells: int = Field(description="Cells with four known corners.")
-    inverted_cells: int = Field(
-        description="Cells with a triangle whose flat area is not above zero."
-    )
-    boundary_space_um: Value = Field(description="Length of all borders in space.")
-    boundary_flat_um: Value = Field(description="Length of all borders in the plane.")
-    growth_percent: Value = Field(
-        description="Scale from the projection to the flat sheet, less 1."
-    )
-    growth_anisotropy_percent: Value = Field(
-        description="How much more the sheet grows in one direction than across it."
-    )
-    growth_direction_deg: Value = Field(
-        description="Direction in the projection in which it grows most, from x towards y."
-    )
-    displacement_median_um: Value = Field(
-        description=(
-            "Median distance from the projection to the flat place, after turning and shifting."
-        )
-    )
-    displacement_p95_um: Value = Field(description="95th percentile of that distance.")
-    displacement_max_um: Value = Field(description="Largest such distance.")
-    geodesics: GeodesicError | None = Field(
-        description="Lengths of random lines, flat against along the surface."
-    )
+    area: Spread
+    """Area strain: ratio of areas less 1."""
+    axial_u: Spread
+    """Strain of the cells' edges along the rows of the mesh."""
+    axial_v: Spread
+    """Strain of the cells' edges along its columns."""
+    shear: Spread
+    """Change of the angle between both, rad."""
+    cells: int
+    """Cells with four known corners."""
+    inverted_cells: int
+    """Cells with a triangle whose flat area is not above zero."""
+    boundary_space_um: Value
+    """Length of all borders in space."""
+    boundary_flat_um: Value
+    """Length of all borders in the plane."""
+    growth_percent: Value
+    """Scale from the projection to the flat sheet, less 1."""
+    growth_anisotropy_percent: Value
+    """How much more the sheet grows in one direction than across it."""
+    growth_direction_deg: Value
+    """Direction in the projection in which it grows most, from x towards y."""
+    displacement_median_um: Value
+    """Median distance from the projection to the flat place, after turning and shifting."""
+    displacement_p95_um: Value
+    """95th percentile of that distance."""
+    displacement_max_um: Value
+    """Largest such distance."""
+    geodesics: GeodesicError | None
+    """Lengths of random lines, flat against along the surface."""
 
 
 def measure_distortion(

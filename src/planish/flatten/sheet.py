@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from planish.core.arrays import check_dataset
 from planish.core.errors import CannotFlatten
-from planish.core.facts import ResultModel, Value
+from planish.core.facts import DescribedModel, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, corners_of, filled, pitch
 from planish.core.options import params_of
@@ -26,36 +26,39 @@ Neutral = Literal["base", "faces"]
 _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
 
 
-class FlatteningQuality(ResultModel):
+class FlatteningQuality(DescribedModel):
     """How the flattening ended."""
 
-    outcome: str = Field(description="RESTED, HELD_OPEN and so on: how the solver ended.")
-    sentence: str = Field(description="The same in words, with what to try next.")
-    steps: int = Field(description="Steps of the solver.")
-    energy_um2: float = Field(description="Energy of the springs at the end.")
-    mesh_um: float = Field(description="Pitch of the mesh.")
-    folded_cells: int = Field(
-        description="Cells that the springs would fold and that are held open; they are not valid."
-    )
-    edge_strain_p95: Value = Field(
-        description="95th percentile of the absolute strain of the springs."
-    )
-    edge_strain_max: Value = Field(description="Largest absolute strain of a spring.")
-    method: str = Field(description="multigrid or relaxation.")
-    neutral: Neutral = Field(
-        default="faces", description="Surface that was taken to stay unstrained."
-    )
-    springs: int = Field(description="Number of springs.")
-    straight_share: Value = Field(
-        description=(
-            "Share of the springs measured straight through space, as the surface is rough there."
-        )
-    )
-    distortion: Distortion = Field(description="Strain, lengths and growth.")
+    outcome: str
+    """RESTED, HELD_OPEN and so on: how the solver ended."""
+    sentence: str
+    """The same in words, with what to try next."""
+    steps: int
+    """Steps of the solver."""
+    energy_um2: float
+    """Energy of the springs at the end."""
+    mesh_um: float
+    """Pitch of the mesh."""
+    folded_cells: int
+    """Cells that the springs would fold and that are held open; they are not valid."""
+    edge_strain_p95: Value
+    """95th percentile of the absolute strain of the springs."""
+    edge_strain_max: Value
+    """Largest absolute strain of a spring."""
+    method: str
+    """multigrid or relaxation."""
+    neutral: Neutral = "faces"
+    """Surface that was taken to stay unstrained."""
+    springs: int
+    """Number of springs."""
+    straight_share: Value
+    """Share of the springs measured straight through space, as the surface is rough there."""
+    distortion: Distortion
+    """Strain, lengths and growth."""
+    # The class says the same, and the schema does not say it twice.
     curvature: CurvatureVerdict = Field(description="Whether the surface can be flat at all.")
-    largest_move_um: Value = Field(
-        description="Largest distance of a column from its projected place."
-    )
+    largest_move_um: Value
+    """Largest distance of a column from its projected place."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

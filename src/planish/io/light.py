@@ -23,12 +23,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import Field
 from scipy import ndimage
 
 from planish.core.arrays import check_image, values_of
 from planish.core.errors import InputError
-from planish.core.facts import Number, ResultModel, optional
+from planish.core.facts import DescribedModel, Number, optional
 from planish.core.typing import Entries, Shape, Singles, Texts
 from planish.io.hashes import fingerprint
 from planish.io.image import read_image
@@ -52,24 +51,27 @@ _DARKEST = 3.0  # standard deviations of a pixel's noise: less light cannot be t
 Grey = Singles
 
 
-class LightFacts(ResultModel):
+class LightFacts(DescribedModel):
     """White and dark image, and what they did to an image."""
 
-    files: Texts = Field(description="Name of the white image, and of the dark one.")
-    hashes: Texts = Field(default=(), description="Their hashes, where they were read.")
+    files: Texts
+    """Name of the white image, and of the dark one."""
+    hashes: Texts = ()
+    """Their hashes, where they were read."""
     exposure: Number = optional(
         "Exposure of the white image over that of the image; null where not known: reflectance is"
         " then known up to a factor."
     )
-    fall_off: float = Field(
-        description="How much less light the darkest hundredth of the image gets than the lightest."
-    )
-    standard_error: float = Field(
-        description="What noise of white and dark adds to a pixel's reflectance, root mean square."
-    )
-    texture: float = Field(description="Variance of the light's fine contrast over the image's.")
-    median: float = Field(description="Median reflectance of the valid pixels.")
-    shares: dict[str, float] = Field(description="Share of the image's pixels by their state.")
+    fall_off: float
+    """How much less light the darkest hundredth of the image gets than the lightest."""
+    standard_error: float
+    """What noise of white and dark adds to a pixel's reflectance, root mean square."""
+    texture: float
+    """Variance of the light's fine contrast over the image's."""
+    median: float
+    """Median reflectance of the valid pixels."""
+    shares: dict[str, float]
+    """Share of the image's pixels by their state."""
 
     @property
     def quantity(self) -> Literal["reflectance", "reflectance, up to a factor"]:

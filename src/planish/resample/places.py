@@ -14,11 +14,10 @@ from typing import Literal, TypeVar
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import Field
 
 from planish.core.axial import axial_angle, summable
 from planish.core.errors import SurfaceError
-from planish.core.facts import ResultModel
+from planish.core.facts import DescribedModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.transform import are_known, grid_points
@@ -35,36 +34,28 @@ _OF_NODES = ("common_um", "patch_um2")
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 
-class Places(ResultModel):
+class Places(DescribedModel):
     """The place of each pixel of a regular grid in the mesh; good for any number of fields."""
 
-    triangle: Indices = Field(
-        description=(
-            "(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1"
-            " outside. Triangle 2 n + t is the first (t = 0) or second half of the quad whose first"
-            " corner is node n, unless `corners` numbers them."
-        )
-    )
-    weight: Floats = Field(
-        description=(
-            "(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the"
-            " first one has the rest of 1; anything outside."
-        )
-    )
-    corners: Indices = Field(
-        description=(
-            "(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the"
-            " quads."
-        )
-    )
-    mesh: Shape2D = Field(description="Rows and columns of the mesh.")
-    fine: int = Field(description="Sub-pixels per pixel and axis; values are means over them.")
-    overlaps: int = Field(
-        description=(
-            "Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0"
-            " for Delaunay."
-        )
-    )
+    triangle: Indices
+    """(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1 outside.
+    Triangle 2 n + t is the first (t = 0) or second half of the quad whose first corner is node n,
+    unless `corners` numbers them.
+    """
+    weight: Floats
+    """(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the first
+    one has the rest of 1; anything outside.
+    """
+    corners: Indices
+    """(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the quads."""
+    mesh: Shape2D
+    """Rows and columns of the mesh."""
+    fine: int
+    """Sub-pixels per pixel and axis; values are means over them."""
+    overlaps: int
+    """Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0 for
+    Delaunay.
+    """
 
     @property
     def shape(self) -> Shape2D:

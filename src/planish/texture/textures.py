@@ -51,8 +51,8 @@ class Textures:
     def middle_part(self, share: float) -> Textures:
         """A share of both sides, about the same middle."""
         rows, cols = self.known.shape
-        top, left = (round(n * (1 - share) / 2) for n in (rows, cols))
-        part = np.s_[top : rows - top, left : cols - left]
+        first_row, first_col = (round(n * (1 - share) / 2) for n in (rows, cols))
+        part = np.s_[first_row : rows - first_row, first_col : cols - first_col]
         maps = {k: m[part] for k, m in self.maps.items()}
         return replace(self, maps=maps, known=self.known[part])
 
