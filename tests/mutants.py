@@ -47,8 +47,8 @@ MUTANTS = [
     # core: grids, areas, frames, transformations
     Mutant(
         "core/grid.py",
-        "down, right = row - i, col - j",
-        "down, right = col - j, row - i",
+        "down = row - i\n    right = col - j",
+        "down = col - j\n    right = row - i",
         "core/test_grid.py",
     ),
     Mutant("core/grid.py", "(row <= rows - 1)", "(row <= rows - 2)", "core/test_grid.py"),
@@ -135,8 +135,8 @@ MUTANTS = [
     # surface
     Mutant(
         "core/frame.py",
-        '"top" if from_high == (self.top == "high") else "bottom"',
-        '"top" if from_high else "bottom"',
+        'if from_high == (self.top == "high"):',
+        "if from_high:",
         "surface/test_any_sheet.py surface/test_find.py",
     ),
     Mutant(

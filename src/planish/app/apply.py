@@ -127,7 +127,8 @@ class Applying:
             study, file_texts = order_of(self.session, staging)
             out = new_run_folder(folder, linked=self.session.image_params is not None)
             self.warm()
-            process, self._warm_process = self._warm_process, None
+            process = self._warm_process
+            self._warm_process = None
             assert process is not None
             assert process.stdin is not None
             order = {
@@ -139,7 +140,8 @@ class Applying:
             with suppress(BrokenPipeError):  # it died: whoever reads from it says so
                 process.stdin.write(json.dumps(order | {"staging": str(staging)}) + "\n")
                 process.stdin.flush()
-            self._process, self._is_cancelled = process, False
+            self._process = process
+            self._is_cancelled = False
             self.progress = Progress(state="working", message=f"Making {out.name} ...")
             self._progress_thread = threading.Thread(
                 target=self._follow_progress, args=(process, out), daemon=True
@@ -150,7 +152,9 @@ class Applying:
     def cancel(self) -> Progress:
         """Stop; when this returns, nothing is left of the new run, or it was done already."""
         with self._lock:
-            process, thread, self._is_cancelled = self._process, self._progress_thread, True
+            process = self._process
+            thread = self._progress_thread
+            self._is_cancelled = True
         if process is not None and thread is not None:
             assert process.stdin is not None
             with suppress(OSError):
@@ -167,7 +171,9 @@ class Applying:
         """End with the server."""
         self.cancel()
         with self._lock:
-            process, self._warm_process, self._is_closed = self._warm_process, None, True
+            process = self._warm_process
+            self._warm_process = None
+            self._is_closed = True
         if process is not None:
             process.kill()
             _wait_and_close(process)

@@ -60,7 +60,9 @@ class End(Part):
 
 def _as_end(end: Any) -> Any:
     is_place = isinstance(end, list | tuple) and len(end) == 2  # pyright: ignore
-    return dict(zip("xy", end, strict=True)) if is_place else end
+    if is_place:
+        return dict(zip("xy", end, strict=True))
+    return end
 
 
 OneEnd = Annotated[End, BeforeValidator(_as_end)]
@@ -224,7 +226,9 @@ def numbered(change: Change, line_number: int) -> Change:
         )
         return change.model_copy(update={"marks": tuple(marks)})
     letter = {"add": "m", "correct": "c", "region": "r"}.get(change.do)
-    return change if letter is None else change.model_copy(update={"id": f"{letter}{line_number}"})
+    if letter is None:
+        return change
+    return change.model_copy(update={"id": f"{letter}{line_number}"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -284,7 +288,7 @@ def _marks_after(marks: Marks, change: Add | Move | Use | Relabel | Remove | Imp
             if len(marks) >= MOST_MARKS:
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
             label = change.label or next(free_names("mark", {mark.label for mark in marks}))
-            return (*marks, Mark(id=change.id, label=_free_label(marks, label, change.id), **ends))
+            return *marks, Mark(id=change.id, label=_free_label(marks, label, change.id), **ends)
         case Move():
             ends = _ends_of(change, "A move gives no new place.")
             return _with_fields(marks, change.id, **ends)

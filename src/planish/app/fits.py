@@ -88,7 +88,8 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = (w[j] - w[i]) / (z[j] - z[i])
     is_finite = np.isfinite(factor)
-    factor, i = factor[is_finite], i[is_finite]
+    factor = factor[is_finite]
+    i = i[is_finite]
     if not factor.size:
         return np.arange(len(z))
     predicted = w[i][:, None] + factor[:, None] * (z - z[i][:, None])
@@ -155,9 +156,13 @@ class Fitted:
             order = np.argsort(-errors_um, kind="stable")
             labels = and_join_few([self.pairs[k].label for k in outliers[order]])
             um_text = and_join_few([f"{um:.0f}" for um in errors_um[order]])
-            stand, they_are, them = ("stands", "it is", "it")
+            stand = "stands"
+            they_are = "it is"
+            them = "it"
             if outliers.size > 1:
-                stand, they_are, them = ("stand", "they are", "them")
+                stand = "stand"
+                they_are = "they are"
+                them = "them"
             advice = f"Check where {they_are} set, or take {them} out of use."
             return f"{labels} {stand} out: {um_text} um from where the others put {them}. {advice}"
         if self.error or self.fit is None:
@@ -171,7 +176,8 @@ class Fitted:
         """
         used_marks = [mark for mark in self.pairs if mark.used]
         fit = self.fit if len(used_marks) >= 3 else None
-        transform, error_text = (fit, "its error is not known")
+        transform = fit
+        error_text = "its error is not known"
         if fit is None:
             transform, error_text = _from_few_pairs(used_marks, self.mirrored)
         if transform is None:
@@ -233,7 +239,8 @@ def fitted(
         is_pending=quick and len(pairs) > 1,
         mirrored=mirrored,
     )
-    fit, error_text = None, ""
+    fit = None
+    error_text = ""
     fitted_model = model if not quick or model in QUICK else "similarity"
     try:
         if fitted_model == "auto":

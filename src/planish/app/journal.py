@@ -79,9 +79,9 @@ class Journal:
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")
         is_new = self._end_byte == 0
-        header = (
-            json.dumps({"format": FORMAT, "of": self.subject}).encode() + b"\n" if is_new else b""
-        )
+        header = b""
+        if is_new:
+            header = json.dumps({"format": FORMAT, "of": self.subject}).encode() + b"\n"
         data = header + line + b"\n"
         try:
             with self.path.open("ab" if is_new else "r+b", buffering=0) as file:

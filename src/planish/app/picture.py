@@ -46,7 +46,9 @@ _FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse leve
 
 def finite_or_none(number: Any) -> float | None:
     """Give a number as JSON can hold it: None where it is missing or not finite."""
-    return float(number) if number is not None and math.isfinite(number) else None
+    if number is not None and math.isfinite(number):
+        return float(number)
+    return None
 
 
 def layer_run(run: Path, layer: str) -> Path:
@@ -136,7 +138,9 @@ class PlanePicture:
         if self.around_zero:
             high = max(abs(low), abs(high))
             low = -high
-        return (low, high) if high > low else (low - 0.5, high + 0.5)
+        if high > low:
+            return low, high
+        return low - 0.5, high + 0.5
 
     @cached_property
     def _coarse(self) -> Floats:
@@ -238,7 +242,9 @@ class ComputedLevels:
             slice(s.start << k, min(s.stop << k, n))
             for s, n in zip(where, self._shapes[0], strict=True)
         )
-        full = self._level_arrays()[0] if 0 in self._cached_levels else self._values
+        full = self._values
+        if 0 in self._cached_levels:
+            full = self._level_arrays()[0]
         pixels = np.asarray(full[window])
         for _ in range(k):
             pixels = halved_values(pixels)

@@ -275,7 +275,8 @@ class Tiles:
     """Windows of pictures, block by block; ``read_bytes`` counts all that were read so far."""
 
     def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
-        self.pictures, self._most_bytes = pictures, most_bytes
+        self.pictures = pictures
+        self._most_bytes = most_bytes
         self._lock = threading.Lock()
         self._blocks = OrderedDict[Key, Future[Array]]()
         self._held_bytes = 0
@@ -323,7 +324,8 @@ class Tiles:
     def values_at(self, picture: PlanePicture, level: int, rows: Ints, cols: Ints) -> Array:
         """Values of single pixels (n,) of a level."""
         pixels = np.empty(rows.size, picture.levels[level].dtype)
-        block_rows, block_cols = rows // CHUNK, cols // CHUNK
+        block_rows = rows // CHUNK
+        block_cols = cols // CHUNK
         for i, j in {*zip(block_rows.tolist(), block_cols.tolist(), strict=True)}:
             is_in = (block_rows == i) & (block_cols == j)
             block = self.block(picture, level, i, j)

@@ -43,7 +43,9 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> Entries:
     # Its own place in a volume, or that of the first layer that has one.
     of_layers: dict[str, dict[str, float | None]] = {picture.layer: {}}
     for p in tiles.pictures.on_same_pixels(picture):
-        value = finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None
+        value = None
+        if is_inside:
+            value = finite_or_none(tiles.values_at(p, 0, rows, cols)[0])
         described = {"id": p.id, "layer": p.layer, "name": p.name, "title": p.title}
         values.append(described | {"units": p.units, "value": value})
         of_layers.setdefault(p.layer, {})[p.variable] = value
@@ -124,7 +126,8 @@ def _pixels(picture: PlanePicture, points_um: Floats, level: int) -> tuple[Ints,
 
     Levels share corners.
     """
-    (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
+    x0, y0 = picture.grid.origin_um
+    dy, dx = picture.grid.pixel_um
     rows = np.floor((points_um[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
     cols = np.floor((points_um[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
     n_rows, n_cols = picture.levels[level].shape
@@ -187,7 +190,9 @@ def density(
     (a_low, a_high), (b_low, b_high) = (_limits(values[is_valid]) for values in (x, y))
     if region is not None:
         window = region.on(a, level)
-        x, y, is_valid = x[window], y[window], is_valid[window]
+        x = x[window]
+        y = y[window]
+        is_valid = is_valid[window]
     cols = np.floor((x[is_valid] - a_low) * (_BINS / (a_high - a_low))).astype(np.int64)
     rows = np.floor((y[is_valid] - b_low) * (_BINS / (b_high - b_low))).astype(np.int64)
     is_within = (np.minimum(rows, cols) >= 0) & (np.maximum(rows, cols) < _BINS)
@@ -219,7 +224,9 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
         values[hole_mask(grid, centres_of(holes), _RIM * holes["diameter"].values)] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
     low, high = _limits(finite)
-    percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
+    percentiles = [0.0, 1.0]
+    if finite.size:
+        percentiles = np.percentile(finite, [2, 98]).tolist()
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     mean = sd = None
     if finite.size:

@@ -21,7 +21,9 @@ class Served:
     """
 
     def __init__(self, session: Session, applying: Applying, message: str = "") -> None:
-        self.session, self.applying, self.message = session, applying, message
+        self.session = session
+        self.applying = applying
+        self.message = message
         self.live = Live(session)
         self.tiles = Tiles(session.pictures)
         self.sheets = dict[str, SlicedSheet]()

@@ -74,7 +74,8 @@ class Guard:
         if scope["type"] != "http":  # web sockets: there are none
             await send({"type": "websocket.close", "code": 1008})
             return
-        is_started, received_bytes = False, 0
+        is_started = False
+        received_bytes = 0
 
         async def limited() -> Message:
             nonlocal received_bytes
@@ -156,7 +157,9 @@ def _check_write(single: Callable[[str], str], host: str, served_run: str) -> No
 def _single(headers: Headers, name: str) -> str:
     """The text of a header that is there once."""
     texts = headers.getlist(name)
-    return texts[0] if len(texts) == 1 else ""
+    if len(texts) == 1:
+        return texts[0]
+    return ""
 
 
 def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlette:

@@ -49,7 +49,8 @@ from planish.run.overlay import measured_holes
 from planish.run.run import MAPS, open_run
 from planish.run.study import EDITS, Study, with_paths
 
-_UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
+_UNDO = b'{"do": "undo"}'
+_REDO = b'{"do": "redo"}'
 
 
 class Stale(InputError):
@@ -179,7 +180,9 @@ class Session:
         if layer not in self.registrations:
             return tuple(self._detected_holes["moving"].attrs["to_face_um"])
         facts = self.results.layer(layer).registration
-        return (0.0, 0.0) if facts is None or facts.tilt is None else facts.tilt.to_face_um
+        if facts is None or facts.tilt is None:
+            return 0.0, 0.0
+        return facts.tilt.to_face_um
 
     def side_of(self, layer: str) -> Side:
         """Side of the sheet that a layer shows.
@@ -295,7 +298,8 @@ class Session:
             raise ChangeError("There is nothing to redo.")
         if save:
             self.journal.append(journal_line)
-        self._states, self._position = states, position
+        self._states = states
+        self._position = position
         self.publish()
         self.changed_at = self.version
 

@@ -134,7 +134,9 @@ class SlicedSheet:
 
     def count(self, direction: Direction) -> int:
         """Slices of a direction."""
-        return self.surfaces.sizes["y"] if direction == "straight" else self.volume.sizes[direction]
+        if direction == "straight":
+            return self.surfaces.sizes["y"]
+        return self.volume.sizes[direction]
 
     def _slice(
         self,
@@ -214,7 +216,8 @@ class SlicedSheet:
         values = read_box(self.volume, box)[..., 0]
         depth_um = depth_um[planes]
         if frame.top == "high":
-            values, depth_um = values[::-1], depth_um[::-1]
+            values = values[::-1]
+            depth_um = depth_um[::-1]
         profile_index = min(index // self.step, self._columns_um(direction).size - 1)
         columns = self._columns(axis, cols)
         lines = self._lines(axis, profile_index, columns, corrections)
@@ -238,7 +241,8 @@ class SlicedSheet:
         surfaces = self.surfaces.isel(
             y=self._columns(frame.rows, rows), x=self._columns(frame.cols, cols)
         )
-        x, y = surfaces["x"].values, surfaces["y"].values
+        x = surfaces["x"].values
+        y = surfaces["y"].values
         contours = {name: contour(surfaces[name].values - height_um, x, y) for name in HEIGHTS}
         return self._slice(
             frame.through,
@@ -350,7 +354,8 @@ class SlicedSheet:
         all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
         normals = np.take(all_normals, offset, axis=axis)
         lines["place"] = lines["centre"]
-        lines["normal_rows"], lines["normal_cols"] = normals[:, 0], normals[:, 1]
+        lines["normal_rows"] = normals[:, 0]
+        lines["normal_cols"] = normals[:, 1]
         lines["normal_through"] = self.frame.sign * normals[:, 2]
         if "found_status" in lines:
             lines["found_status"][lines["found_status"] == 255] = np.nan
@@ -382,7 +387,9 @@ class SlicedSheet:
 
 def _in_order(across: slice, along: slice, axis: int) -> Window:
     """Rows and columns of a part that runs along rows (``axis`` 0) or along columns."""
-    return (along, across) if axis else (across, along)
+    if axis:
+        return along, across
+    return across, along
 
 
 _READ_NAMES = (*HEIGHTS, "status", "thickness_se")
@@ -402,7 +409,9 @@ def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]
 def _ends(values: Floats) -> Pair | None:
     """The smallest and the largest known value; None where none is known."""
     finite = values[np.isfinite(values)]
-    return (float(finite.min()), float(finite.max())) if finite.size else None
+    if finite.size:
+        return float(finite.min()), float(finite.max())
+    return None
 
 
 def contour(height: Floats, x: Floats, y: Floats) -> Floats:
@@ -436,7 +445,9 @@ def _window(coordinates: Floats, near_um: float | None) -> slice:
 
 def edge_of(name: Literal["z", "y", "x", "height"], coordinates: Floats) -> AxisFacts:
     """Give the edge of a slice along which its pixels have these places."""
-    step_um = float(coordinates[1] - coordinates[0]) if coordinates.size > 1 else 1.0
+    step_um = 1.0
+    if coordinates.size > 1:
+        step_um = float(coordinates[1] - coordinates[0])
     return AxisFacts(
         name=name, first_um=float(coordinates[0]), step_um=step_um, count=coordinates.size
     )

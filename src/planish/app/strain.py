@@ -56,7 +56,9 @@ def sheet_run(run: Path, study: Study, layer: str) -> Path | None:
     """
     sheets = [params.name for params in study.layers if params.kind != "image"]
     folder = layer_run(run, layer)
-    return folder if layer in sheets and (folder / MAPS / "strain").is_dir() else None
+    if layer in sheets and (folder / MAPS / "strain").is_dir():
+        return folder
+    return None
 
 
 def _on_pixels(
@@ -107,7 +109,8 @@ def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
     """
     flat = stored_group(run / MAPS, "flat")
     strain = read_group(run / MAPS, "strain")
-    n_rows, n_cols = strain.sizes["row"], strain.sizes["col"]
+    n_rows = strain.sizes["row"]
+    n_cols = strain.sizes["col"]
     line_step = 1
     while 2 * (n_rows // line_step + 1) * (n_cols // line_step + 1) > MOST_POINTS:
         line_step += 1

@@ -79,7 +79,9 @@ def get_histogram(request: Request) -> Response:
     """How the values of a picture are distributed."""
     session = served_of(request).session
     picture = _picture(request, "id")
-    layer = picture.layer if picture.layer in session.layers else session.layers[0]
+    layer = picture.layer
+    if picture.layer not in session.layers:
+        layer = session.layers[0]
     holes = session.holes(layer)[picture.plane]
     return Answer(histogram(_tiles(request), picture, holes=holes))
 
@@ -185,7 +187,8 @@ def get_sheets(request: Request) -> Response:
         except PlanishError as error:
             sheets.append({"layer": name, "error": error.text})
             continue
-        frame, attrs = sheet.frame, sheet.surfaces.attrs
+        frame = sheet.frame
+        attrs = sheet.surfaces.attrs
         places_um = {axis: sheet.voxels_um(axis) for axis in "zyx"}
         places_um["straight"] = sheet.surfaces["y"].values
         axes: Entries = {}
@@ -224,7 +227,8 @@ def get_slice(request: Request) -> Response:
 
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
     served = served_of(request)
-    session, sheets = served.session, served.sheets
+    session = served.session
+    sheets = served.sheets
     with _OPENING:
         if layer not in sheets:
             available = sheets_of(session.folder, session.study)

@@ -98,7 +98,9 @@ def letters() -> bool:
 def width(*, err: bool = False) -> int | None:
     """Columns of the terminal; None where standard output, or standard error, is none."""
     stream = sys.stderr if err else sys.stdout
-    return max(console(err=err).width, _LEAST_WIDTH) if stream.isatty() else None
+    if stream.isatty():
+        return max(console(err=err).width, _LEAST_WIDTH)
+    return None
 
 
 def shown(text: str) -> str:
@@ -208,4 +210,6 @@ def _name_and_unit(heading: str) -> tuple[str, str]:
     """A heading without its unit, and this; empty where it has none."""
     name, _, unit = heading.rpartition(" ")
     has_unit = bool(name) and unit in _UNITS and heading not in _UNITLESS
-    return (name, unit) if has_unit else (heading, "")
+    if has_unit:
+        return name, unit
+    return heading, ""

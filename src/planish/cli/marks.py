@@ -139,7 +139,9 @@ def check(pattern: Path, field_um: Pair | None, diameter_um: float | None, as_js
     for rule in rules:
         if not rule.passed:
             warn(f"{rule.sentence()}: {rule.remedy}.")
-    return 0 if all(rule.passed for rule in rules) else 4
+    if all(rule.passed for rule in rules):
+        return 0
+    return 4
 
 
 @marks.command()

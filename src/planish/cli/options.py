@@ -198,7 +198,9 @@ class Value(click.ParamType[Any]):
         if self.is_any_count and value.strip().casefold() == "none":
             return []
         parts = [part.strip() for part in value.split(",")]
-        return parts * self.n_values if self.can_repeat and len(parts) == 1 else parts
+        if self.can_repeat and len(parts) == 1:
+            return parts * self.n_values
+        return parts
 
 
 def options(

@@ -140,7 +140,9 @@ def study(
     start_s = time.monotonic()
     is_interrupted = False
     with series_folder(out):
-        new_scans = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn) if watch else None
+        new_scans = None
+        if watch:
+            new_scans = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn)
         try:
             run_series(
                 plan,
@@ -408,7 +410,9 @@ def _number_text(value: float | None, statistic: str) -> str:
 
 
 def _interval_text(limits: Pair, statistic: str) -> str:
-    return " to ".join(_number_text(v, statistic) for v in limits) if is_known(limits) else "-"
+    if is_known(limits):
+        return " to ".join(_number_text(v, statistic) for v in limits)
+    return "-"
 
 
 def _cell_text(cell: Any, statistic: str) -> str:
@@ -416,4 +420,6 @@ def _cell_text(cell: Any, statistic: str) -> str:
     if statistic == "r" and cell.low is not None:
         digits = 5 if cell.low > _CLOSE_R else 2
         text += f" ({cell.low:.{digits}f} to {cell.high:.{digits}f})"
-    return text if cell.counts or cell.value is None else f"{text} *"
+    if cell.counts or cell.value is None:
+        return text
+    return f"{text} *"

@@ -146,7 +146,9 @@ def _answer(run: Run) -> None:
 
 def exit_code(results: Results, *, strict: bool = False) -> int:
     """4 where a check failed or, with ``strict``, asks for a look."""
-    return 4 if results.state == "fail" or (strict and results.checks_in("look")) else 0
+    if results.state == "fail" or (strict and results.checks_in("look")):
+        return 4
+    return 0
 
 
 def _properties(layer: LayerFacts) -> None:

@@ -164,7 +164,9 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
                 f"The volume of {surfaces}, {path}, is not there any more. Give its place with"
                 " --volume."
             )
-    volume = None if path is None else _volume(path, values, **store_params)[0]
+    volume = None
+    if path is not None:
+        volume = _volume(path, values, **store_params)[0]
     measured = measure_properties(data, volume=volume, params=build_params(MeasureParams, values))
     mean = float(measured["thickness"].mean())
     _write(out, {"surfaces": measured}, f"mean thickness {mean:.2f} um along the normals")
@@ -259,7 +261,9 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     from planish.marks import write_holes
     from planish.run import find_holes
 
-    files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
+    files = (out,)
+    if out.suffix.lower() != ".csv":
+        files = (out, out.with_suffix(".csv"))
     refuse_existing(*files)
     side = build_params(ImageParams, values, path=str(image)).side or "top"
     picture = _maps_or_image(image, values)

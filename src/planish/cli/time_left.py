@@ -126,7 +126,8 @@ def _millions(layer: GivenLayer) -> float:
     with suppress(PlanishError, OSError):
         if layer.volume is None:
             return math.prod(describe(layer.path, values=False)["shape"]) / 1e6
-        given_um, column_um = layer.volume.voxel_um, layer.volume.column_um
+        given_um = layer.volume.voxel_um
+        column_um = layer.volume.column_um
         facts = describe(layer.path, voxel_um=given_um, override_size=True, values=False)
         across = [axis for axis in range(3) if "zyx"[axis] != layer.volume.through]
         columns = math.prod(facts["shape"][axis] for axis in across)

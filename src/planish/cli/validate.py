@@ -151,7 +151,9 @@ def validate(
         print_json(certificates[0] if len(certificates) == 1 else certificates)
     if out is not None:
         _write(out, results)
-    return 0 if all(certificate.passed for certificate, _ in results) else 4
+    if all(certificate.passed for certificate, _ in results):
+        return 0
+    return 4
 
 
 def _read_scenarios(names: Sequence[str]) -> list[Scenario]:

@@ -34,7 +34,8 @@ def halve_values(values, out):
             count = p + q + r + s
             out[i, j] = total / count if count else np.nan
         if cols % 2:
-            total, count = 0.0, 0
+            total = 0.0
+            count = 0
             for y in range(up, low + 1):
                 value = np.float64(values[y, cols - 1])
                 if np.isfinite(value):
@@ -49,7 +50,8 @@ def halve_truth(values, out):
     rows, cols = values.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            true, count = 0, 0
+            true = 0
+            count = 0
             for y in range(2 * i, min(2 * i + 2, rows)):
                 for x in range(2 * j, min(2 * j + 2, cols)):
                     true += values[y, x]
@@ -68,8 +70,10 @@ def halve_voxels(values, out, whole):
         k1 = min(2 * k + 1, depth - 1)
         for i in range(out.shape[1]):
             i1 = min(2 * i + 1, rows - 1)
-            a, b = values[2 * k, 2 * i], values[2 * k, i1]
-            c, d = values[k1, 2 * i], values[k1, i1]
+            a = values[2 * k, 2 * i]
+            b = values[2 * k, i1]
+            c = values[k1, 2 * i]
+            d = values[k1, i1]
             for j in range(out.shape[2]):
                 p = 2 * j
                 q = min(2 * j + 1, cols - 1)

@@ -13,7 +13,9 @@ def kinds_of(annotation: Any) -> list[Any]:
         return kinds_of(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
         return [kind for alternative in get_args(annotation) for kind in kinds_of(alternative)]
-    return [] if annotation is type(None) else [annotation]
+    if annotation is type(None):
+        return []
+    return [annotation]
 
 
 def words_in(kinds: Iterable[Any]) -> list[str]:
@@ -25,9 +27,7 @@ def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
     """Models that a field may hold, as they are, optional, or several of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    arguments = (
-        get_args(annotation)
-        if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list)
-        else ()
-    )
+    arguments = ()
+    if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list):
+        arguments = get_args(annotation)
     return [model for argument in arguments for model in models_in(argument)]

@@ -56,7 +56,9 @@ class AreaMeans:
         return [angle_of(m) if np.iscomplexobj(m) else m for m in means]
 
     def _summed(self, row_overlap: sparse.csr_array, values: Floats) -> Floats:
-        return values if self._is_identity else (self._col_overlap @ (row_overlap @ values).T).T
+        if self._is_identity:
+            return values
+        return (self._col_overlap @ (row_overlap @ values).T).T
 
 
 def square_px(edge_um: float, pixel_um: Pair) -> Pair:

@@ -133,7 +133,8 @@ def check_numbers(array: Any, name: str, *, kinds: str = "uif") -> None:
         fix = _CURES.get(array.dtype.kind, 'Convert them: astype("float32").')
         wanted = "integers or real numbers"
         if kinds == "b":
-            wanted, fix = "true or false", "Compare them with a limit: array > 0."
+            wanted = "true or false"
+            fix = "Compare them with a limit: array > 0."
         raise VolumeError(f"{name} has {array.dtype} values; needed are {wanted}. {fix}")
 
 
@@ -141,7 +142,9 @@ def check_missing(array: Any, name: str) -> None:
     """Refuse a map that holds the number its attributes call missing: it would be a value here."""
     for key in MISSING_KEYS:
         number = getattr(array, "attrs", {}).get(key)
-        n_missing = int(np.sum(array.values == number)) if isinstance(number, Real) else 0
+        n_missing = 0
+        if isinstance(number, Real):
+            n_missing = int(np.sum(array.values == number))
         if n_missing:
             raise VolumeError(
                 f"{name} holds {number:g} {n_missing} times, which its attribute {key} calls"

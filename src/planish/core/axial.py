@@ -62,7 +62,8 @@ def summable_of(maps: xr.Dataset, name: Any) -> Array:
     Those are vectors as long as the direction prevails.
     """
     stem = str(name).removesuffix("_angle")
-    cosine, sine = f"{stem}_cos2", f"{stem}_sin2"
+    cosine = f"{stem}_cos2"
+    sine = f"{stem}_sin2"
     if is_axial(maps[name]) and cosine in maps and sine in maps:
         return maps[cosine].values + 1j * maps[sine].values
     return summable(maps[name], maps[name].values)

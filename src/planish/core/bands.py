@@ -51,7 +51,9 @@ def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
     for values in _values_in(pixels, where):
         count += values.size
         square_sum += float(np.sum(values.astype(np.float64) ** 2))
-    return float(np.sqrt(square_sum / count)) if count else None
+    if count:
+        return float(np.sqrt(square_sum / count))
+    return None
 
 
 def _values_in(pixels: Rows, where: Rows | None) -> Iterator[Array]:

@@ -125,7 +125,8 @@ def concerned(
 
     ``properties`` are all maps of a sheet.
     """
-    wanted_figures, layer_names = {*figures}, {*layers}
+    wanted_figures = {*figures}
+    layer_names = {*layers}
     if wanted_figures - {POSITION, CORRELATION}:
         wanted_figures.add(PROPERTIES)
     of_figures = [check for check in checks if wanted_figures & {*check.figures}]

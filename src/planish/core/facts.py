@@ -33,7 +33,9 @@ from planish.core.typing import Pair, Shape
 
 
 def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def _all_finite(values: Any) -> Any:
@@ -55,11 +57,15 @@ def is_known(value: float | Pair | None) -> bool:
 
 def _one_nan(value: Any) -> Any:
     # Always the same NaN, so that models with equal numbers are equal.
-    return math.nan if value is None or (isinstance(value, float) and math.isnan(value)) else value
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return math.nan
+    return value
 
 
 def _nan_pair(values: Iterable[float | None] | None) -> Any:
-    return (math.nan, math.nan) if values is None else tuple(map(_one_nan, values))
+    if values is None:
+        return math.nan, math.nan
+    return tuple(map(_one_nan, values))
 
 
 def _null(value: Any) -> Any:

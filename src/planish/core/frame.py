@@ -61,7 +61,9 @@ class Frame:
 
     def side_at(self, *, from_high: bool) -> Side:
         """Name the side of the sheet at the high end of the axis through it, or at the low end."""
-        return "top" if from_high == (self.top == "high") else "bottom"
+        if from_high == (self.top == "high"):
+            return "top"
+        return "bottom"
 
     @property
     def mirrored(self) -> bool:

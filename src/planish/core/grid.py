@@ -31,7 +31,8 @@ class Grid:
         """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
         row_um, col_um = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
         down, across = (np.arange(n, dtype=np.float64) for n in shape)
-        y, x = origin_um[1] + row_um * down, origin_um[0] + col_um * across
+        y = origin_um[1] + row_um * down
+        x = origin_um[0] + col_um * across
         return cls(y_um=y, x_um=x, step_um=(float(row_um), float(col_um)))
 
     @classmethod
@@ -88,7 +89,8 @@ def shorter_side_um(shape: Sequence[int], pixel_um: Sequence[float]) -> float:
 def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
     """Raise SurfaceError unless both datasets stand on the same columns of the same volume."""
     for axis in ("y", "x"):
-        a, b = first[axis].values, second[axis].values
+        a = first[axis].values
+        b = second[axis].values
         if a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-6):
             raise SurfaceError(
                 f"The two stores stand on different columns: {a.size} and {b.size} along {axis}."
@@ -115,7 +117,8 @@ def filled(field: Floats) -> Floats:
 
 def corners_of(nodes: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """Values of a field (rows, cols, ...) at the four corners of every cell, around the cell."""
-    upper, lower = nodes[:-1], nodes[1:]
+    upper = nodes[:-1]
+    lower = nodes[1:]
     return upper[:, :-1], upper[:, 1:], lower[:, 1:], lower[:, :-1]
 
 
@@ -142,7 +145,8 @@ def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
     is_inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
     i = np.clip(np.where(is_inside, row, 0).astype(np.intp), 0, rows - 2)
     j = np.clip(np.where(is_inside, col, 0).astype(np.intp), 0, cols - 2)
-    down, right = row - i, col - j
+    down = row - i
+    right = col - j
     upper = field[i, j] * (1 - right) + field[i, j + 1] * right
     lower = field[i + 1, j] * (1 - right) + field[i + 1, j + 1] * right
     return np.where(is_inside, upper * (1 - down) + lower * down, np.nan)
@@ -154,8 +158,10 @@ def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:
     NaN outside.
     """
     grid = Grid.of(maps)
-    (x, y), (down, across) = grid.origin_um, grid.pixel_um
-    row, col = (points[:, 1] - y) / down, (points[:, 0] - x) / across
+    x, y = grid.origin_um
+    down, across = grid.pixel_um
+    row = (points[:, 1] - y) / down
+    col = (points[:, 0] - x) / across
     return np.stack([bilinear(maps[name].values, row, col) for name in names], axis=1)
 
 

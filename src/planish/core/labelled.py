@@ -58,7 +58,9 @@ def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> Array:
 
 class _Backend(BackendArray):
     def __init__(self, values: LazyArray) -> None:
-        self.values, self.shape, self.dtype = values, values.shape, values.dtype
+        self.values = values
+        self.shape = values.shape
+        self.dtype = values.dtype
 
     def __getitem__(self, key: Any) -> Array:
         return explicit_indexing_adapter(
@@ -68,4 +70,6 @@ class _Backend(BackendArray):
 
 def variable_data(values: Array | LazyArray) -> Any:
     """Wrap values for a variable: an array, or a lazy one that stays one."""
-    return LazilyIndexedArray(_Backend(values)) if isinstance(values, LazyArray) else values
+    if isinstance(values, LazyArray):
+        return LazilyIndexedArray(_Backend(values))
+    return values

@@ -50,7 +50,9 @@ class LazyArray:
     whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
 
     def __init__(self, shape: Shape, dtype: DType, read: Callable[[Where], Array]) -> None:
-        self.shape, self.dtype, self._read = shape, dtype, read
+        self.shape = shape
+        self.dtype = dtype
+        self._read = read
 
     @property
     def ndim(self) -> int:

@@ -20,8 +20,13 @@ from planish.core.typing import Array, Shape
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Bytes in which flags, shape, name and the tag of the values of any variable lie.
 _HEADER_BYTES = 2048
-_MOST_AXES, _LONGEST_NAME = 32, 512
-_COMPRESSED, _MATRIX, _UINT32, _INT32, _INT8 = 15, 14, 6, 5, 1
+_MOST_AXES = 32
+_LONGEST_NAME = 512
+_COMPRESSED = 15
+_MATRIX = 14
+_UINT32 = 6
+_INT32 = 5
+_INT8 = 1
 _TYPES = {
     1: "i1",
     2: "u1",
@@ -60,7 +65,8 @@ NUMBERS = {  # Classes of real numbers and their types.
 }
 
 _CLASS_OF_TYPE = {dtype: name for name, dtype in NUMBERS.items()}
-_COMPLEX, _LOGICAL = 0x08, 0x02
+_COMPLEX = 0x08
+_LOGICAL = 0x02
 
 
 class Damaged(ValueError):
@@ -248,7 +254,9 @@ def _elements(header: bytes, byte_order: str) -> Iterator[_Element]:
         if small_size > 4:
             raise Damaged("a small element is too long")
         if small_size:  # size and type share a word, four bytes follow
-            kind, size, offset = kind & 0xFFFF, small_size, start
+            kind = kind & 0xFFFF
+            size = small_size
+            offset = start
             start -= 4
         yield _Element(kind, size, header[start : start + size])
 

@@ -21,7 +21,8 @@ COPIES_OF_SECTIONS = 2
 RETURNED_BYTES = ((8 * 10**8, 2**17), (5 * 10**9, 2**22))
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its
 # holes, and in any case.
-PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
+PIXEL_BYTES = 16
+LINK_BYTES = 400 * 10**6
 
 # Files
 UNKNOWN_BYTES = 8 * 2**30  # what is assumed to be free where the system does not report it
@@ -31,7 +32,8 @@ EAGER_BYTES = 2**30
 # Decoded slices that are kept, because the next part often lies in the same ones.
 DECODED_BYTES = 256 * 2**20
 # Of packed values: read at a time, and unpacked from that.
-PACKED_BYTES, UNPACKED_BYTES = 4 * 2**20, 64 * 2**20
+PACKED_BYTES = 4 * 2**20
+UNPACKED_BYTES = 64 * 2**20
 # What is decoded at once for a look: several copies of it, and the program, take 400 MiB.
 LOOK_BYTES = 64 * 2**20
 SAMPLE_BYTES = 256 * 2**20  # what is read of a volume that is too large to be read for a look
@@ -45,7 +47,8 @@ LARGE_BYTES = 2**29
 SAMPLE_PIXELS = 2**22  # of maps, that show how their values are distributed, or are drawn
 TILE_BYTES = 96 * 2**20  # blocks of pictures that the app holds
 # Numbers of a map that are texts at a time, and of a table's rows.
-TEXT_VALUES, TABLE_VALUES = 200_000, 2_000_000
+TEXT_VALUES = 200_000
+TABLE_VALUES = 2_000_000
 WHOLE_BYTES = 200_000_000  # of maps that are held as a whole to be written, where they need not be
 
 # Parts of a volume

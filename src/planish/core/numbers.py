@@ -91,11 +91,9 @@ def count(value: int | None) -> str:
 
 def percent(share: float | None, digits: int = 3) -> str:
     """Write a share as per cent."""
-    return (
-        NONE
-        if share is None or not math.isfinite(share)
-        else f"{number(100 * share, digits)}{_SPACE}%"
-    )
+    if share is None or not math.isfinite(share):
+        return NONE
+    return f"{number(100 * share, digits)}{_SPACE}%"
 
 
 def unit(name: str) -> str:
@@ -120,7 +118,8 @@ def length(value_um: float | None, digits: int = 3) -> str:
 def with_unit(value: float, units: str) -> str:
     """Write a limit with its unit, without zeros that say nothing; a share in percent."""
     if units == "share":
-        value, units = 100 * value, "%"
+        value = 100 * value
+        units = "%"
     unit_text = unit(units).replace("1/", "per ")
     return f"{plain_numbers(f'{value:.4g}')}{_SPACE}{unit_text}".replace("-", "−").rstrip(_SPACE)
 
@@ -132,16 +131,16 @@ def axis_label(title: str, units: str) -> str:
 
 def interval_text(limits: Pair | None, decimals: int = 2) -> str:
     """Write both ends of an interval; a dash where there is none."""
-    return (
-        " to ".join(fixed(end, decimals) for end in limits)
-        if limits is not None and is_known(limits)
-        else NONE
-    )
+    if limits is not None and is_known(limits):
+        return " to ".join(fixed(end, decimals) for end in limits)
+    return NONE
 
 
 def numbers_text(ends: Pair, digits: int = 3) -> str:
     """Write both ends of an interval as :func:`number` does; a dash where there is none."""
-    return " to ".join(number(end, digits) for end in ends) if is_known(ends) else NONE
+    if is_known(ends):
+        return " to ".join(number(end, digits) for end in ends)
+    return NONE
 
 
 def with_article(layer: str) -> str:
@@ -149,7 +148,9 @@ def with_article(layer: str) -> str:
 
     Layers without a name of their own are called by what they are.
     """
-    return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
+    if layer in ("volume", "image", "sheet"):
+        return f"the {layer}"
+    return layer
 
 
 def limits_text(limits: Pair, decimals: int = 2) -> str:
@@ -185,11 +186,9 @@ def capital(text: str) -> str:
 def decimals_of_r(limits: tuple[float, float] | None) -> int:
     """Decimals of an r within limits: two, and more where they are close to each other."""
     width = 1.0 if limits is None or not all(map(math.isfinite, limits)) else limits[1] - limits[0]
-    return (
-        min(max(2, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
-        if 0 < width < _NARROW_WIDTH
-        else 2
-    )
+    if 0 < width < _NARROW_WIDTH:
+        return min(max(2, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
+    return 2
 
 
 def in_ascii(text: str) -> str:

@@ -35,7 +35,9 @@ P = TypeVar("P", bound=Params)
 
 
 def _in_tuple(value: Any) -> Any:
-    return (value,) if isinstance(value, str) else value
+    if isinstance(value, str):
+        return (value,)
+    return value
 
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_in_tuple)]

@@ -57,7 +57,8 @@ def otsu_borders(counts: Array, grey_sums: Array, classes: int) -> Shape:
     last_bin = cum_count.size - 1
 
     def gain(a: Any, b: Any) -> Floats:
-        count, grey_sum = cum_count[b] - cum_count[a], cum_grey[b] - cum_grey[a]
+        count = cum_count[b] - cum_count[a]
+        grey_sum = cum_grey[b] - cum_grey[a]
         return np.where(count > 0, grey_sum * grey_sum / np.maximum(count, 1e-300), 0.0)
 
     if classes == 2:

@@ -120,7 +120,8 @@ def heading_of(cell: str) -> Heading:
     """
     in_brackets = _IN_BRACKETS.fullmatch(cell)
     at_the_end = _AT_THE_END.fullmatch(cell)
-    name, unit = cell, ""
+    name = cell
+    unit = ""
     if in_brackets:
         name, unit = in_brackets.groups()
     elif at_the_end and _unit_of(at_the_end[2]):
@@ -258,7 +259,9 @@ def _delimiter_of(lines: Sequence[str]) -> str:
             continue
         if len(counts) == 1 and counts != {1}:
             return delimiter
-    return max(",;\t", key=lines[0].count) if lines else ","
+    if lines:
+        return max(",;\t", key=lines[0].count)
+    return ","
 
 
 def finite(value: object, *, decimal_comma: bool = False) -> float | None:
@@ -268,9 +271,12 @@ def finite(value: object, *, decimal_comma: bool = False) -> float | None:
     if decimal_comma and isinstance(value, str) and value.count(",") == 1 and "." not in value:
         value = value.replace(",", ".")
     try:
-        return float(value) if math.isfinite(float(value)) else None
+        number = float(value)
     except (ValueError, OverflowError):
         return None
+    if math.isfinite(number):
+        return number
+    return None
 
 
 @dataclass(slots=True, kw_only=True)

@@ -45,7 +45,9 @@ def count_threads(number: int | None = None) -> int:
     """
     if number is not None:
         return max(1, number)
-    return _limits[-1] if _limits else min(available(), MOST)
+    if _limits:
+        return _limits[-1]
+    return min(available(), MOST)
 
 
 @contextmanager

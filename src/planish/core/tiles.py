@@ -57,7 +57,8 @@ class Tile(NamedTuple):
 
     def within(self, outer: Tile) -> Tile:
         """Return the same tile, counted from the first row and column of another that holds it."""
-        r, c = outer.r0, outer.c0
+        r = outer.r0
+        c = outer.c0
         return Tile(self.r0 - r, self.r1 - r, self.c0 - c, self.c1 - c)
 
     def grown(self, rows: int, cols: int, shape: tuple[int, int]) -> Tile:
@@ -101,7 +102,9 @@ class Engine:
     @property
     def at_once(self) -> int:
         """Tiles that are worked on at the same time."""
-        return count_threads(self.threads) if self.executor is None else self.workers or 1
+        if self.executor is None:
+            return count_threads(self.threads)
+        return self.workers or 1
 
     def map(
         self,

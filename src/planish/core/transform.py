@@ -65,7 +65,9 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
     It takes source to target.
     """
     det = float(np.linalg.det(linear))
-    plain = linear @ np.diag([-1.0, 1.0]) if det < 0 else linear
+    plain = linear
+    if det < 0:
+        plain = linear @ np.diag([-1.0, 1.0])
     rotation = float(np.arctan2(plain[1, 0] - plain[0, 1], plain[0, 0] + plain[1, 1]))
     turn = Similarity(scale=float(np.sqrt(abs(det))), rotation_rad=rotation, mirrored=det < 0)
     return replace(turn, shift_um=pair_of(target - turn(source)))

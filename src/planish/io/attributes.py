@@ -115,7 +115,9 @@ def names_by_indices(attrs: Fields, shape: Sequence[int]) -> list[AxisNames]:
         is_index = key.endswith(NEXUS_INDICES) and indices.size == 1 and indices.dtype.kind in "ui"
         if is_index and 0 <= int(indices[0]) < len(shape):
             names[int(indices[0])] = key.removesuffix(NEXUS_INDICES)
-    return [AxisNames("the NeXus indices", tuple(names))] if any(names) else []
+    if any(names):
+        return [AxisNames("the NeXus indices", tuple(names))]
+    return []
 
 
 def axis_words(raw_value: Any) -> list[str]:
@@ -150,7 +152,9 @@ def _axes_content(raw_value: Any) -> Any:
             value = json.loads(value)
         except ValueError:
             value = value.strip().strip("[]{}")
-    return value.get("axes", []) if isinstance(value, dict) else value
+    if isinstance(value, dict):
+        return value.get("axes", [])
+    return value
 
 
 def _entry_word(entry: Any) -> str:
@@ -278,11 +282,15 @@ def _step_of(coordinates: Array) -> float | None:
     steps = np.diff(coordinates.astype(np.float64))
     step = float(np.median(steps))
     is_even = np.all(np.abs(steps - step) <= COORDINATE_TOLERANCE * abs(step))
-    return step if step and is_even and np.isfinite(step) else None
+    if step and is_even and np.isfinite(step):
+        return step
+    return None
 
 
 def word_of(raw_value: Any) -> str:
     """Read a word that may be stored as bytes, or as an array of one."""
     entries = np.asarray(raw_value).ravel()[:1]
     word: Any = entries[0] if entries.size else ""
-    return word.decode("utf-8", errors="replace") if isinstance(word, bytes) else str(word)
+    if isinstance(word, bytes):
+        return word.decode("utf-8", errors="replace")
+    return str(word)

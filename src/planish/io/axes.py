@@ -77,7 +77,9 @@ def letter_of(name: str) -> str | None:
     if not telling_words:
         return ""
     letters = {LETTERS.get(word) for word in telling_words}
-    return letters.pop() if len(letters) == 1 else None
+    if len(letters) == 1:
+        return letters.pop()
+    return None
 
 
 def extended_axes(shape: Sequence[int]) -> list[int]:
@@ -206,7 +208,9 @@ def _filled(letters: Sequence[str | None]) -> list[str] | None:
     remaining = iter(free_letters)
     filled = [letter or next(remaining) for letter in letters]
     places = ["z" if letter in MEANINGS else letter for letter in filled]
-    return filled if n_missing < 2 or places == ["z", "y", "x"] else None
+    if n_missing < 2 or places == ["z", "y", "x"]:
+        return filled
+    return None
 
 
 def slices_note(count: int, letter: str) -> str:

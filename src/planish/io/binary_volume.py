@@ -97,9 +97,13 @@ def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
     """
     with quiet:
         from nibabel import Nifti1Header, Nifti2Header
-    header_class, n_bytes, magic = Nifti1Header, 348, head[344:347]
+    header_class = Nifti1Header
+    n_bytes = 348
+    magic = head[344:347]
     if head[:4] in (LONGEST_NIFTI.to_bytes(4, "little"), LONGEST_NIFTI.to_bytes(4, "big")):
-        header_class, n_bytes, magic = Nifti2Header, LONGEST_NIFTI, head[4:7]
+        header_class = Nifti2Header
+        n_bytes = LONGEST_NIFTI
+        magic = head[4:7]
     if magic in (b"ni1", b"ni2"):
         raise FileError(
             f"{path.name} has its values in another file (.img). Save it as one file, .nii or"
@@ -118,7 +122,8 @@ def _scaled(values: Array, *, slope: float, intercept: float) -> Array:
 HEADER_BYTES = 1024
 MRC_AXES = {1: "x", 2: "y", 3: "z"}
 # Where it stands in extra2, the next number says whether bytes are signed.
-IMOD_STAMP, IMOD_AT = 1146047817, 40
+IMOD_STAMP = 1146047817
+IMOD_AT = 40
 
 
 def _load_mrc(path: Path) -> LoadedVolume:

@@ -269,7 +269,9 @@ def full_scale(dtype: DType, bits: int) -> int | None:
     """Largest value that can be stored, None for floating point."""
     if dtype.kind == "f":
         return None
-    return 1 if dtype.kind == "b" else min(int(np.iinfo(dtype).max), 2**bits - 1)
+    if dtype.kind == "b":
+        return 1
+    return min(int(np.iinfo(dtype).max), 2**bits - 1)
 
 
 def check_type(dtype: DType, path: Path) -> None:

@@ -153,7 +153,9 @@ def _virtual_sources(dataset: Any) -> list[tuple[str, str]]:
 
 
 def _source_file(source: str, path: Path) -> Path:
-    return path if source == "." else referenced_file(path.parent, source, path)
+    if source == ".":
+        return path
+    return referenced_file(path.parent, source, path)
 
 
 def source_files(dataset: Any, path: Path) -> list[Path]:
@@ -240,7 +242,9 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, Texts]:
         return array, ()
     if dataset.id.get_storage_size() == 0:
         raise damaged(path, f"{dataset.name} has no values stored")
-    n_chunks = 0 if chunks is None else np.prod(-(-np.array(shape) // chunks))
+    n_chunks = 0
+    if chunks is not None:
+        n_chunks = np.prod(-(-np.array(shape) // chunks))
     if chunks is None or dataset.id.get_num_chunks() == n_chunks:
         return array, ()
     positions: list[Shape] = []
@@ -302,7 +306,9 @@ def _default_group(group: Any, kind: str) -> Any:
 
 def _child(group: Any, name: str) -> Any:
     """Member of a group that is no link; None where there is none."""
-    return group[name] if isinstance(link_of(group, name), h5py.HardLink) else None
+    if isinstance(link_of(group, name), h5py.HardLink):
+        return group[name]
+    return None
 
 
 def _axis_names(dataset: Any) -> list[AxisNames]:
@@ -337,12 +343,15 @@ def _scales(dataset: Any) -> list[Any]:
 def _emd_scales(dataset: Any) -> list[Any]:
     """The data sets ``dim1``, ``dim2`` … beside the values of an EMD file, as its axes."""
     members = [_child(dataset.parent, f"dim{axis + 1}") for axis in range(len(dataset.shape))]
-    is_emd = "emd_group_type" in dataset.parent.attrs
-    return members if is_emd else [None] * len(dataset.shape)
+    if "emd_group_type" in dataset.parent.attrs:
+        return members
+    return [None] * len(dataset.shape)
 
 
 def _last_word(member: Any) -> str:
-    return "" if member is None else str(member.name).rpartition("/")[2]
+    if member is None:
+        return ""
+    return str(member.name).rpartition("/")[2]
 
 
 def _coordinates_along(dataset: Any, axis: int, namings: Sequence[AxisNames]) -> Coordinates | None:
@@ -361,4 +370,6 @@ def _coordinates_along(dataset: Any, axis: int, namings: Sequence[AxisNames]) ->
 
 
 def _attribute(owner: Any, name: str) -> str:
-    return word_of(owner.attrs[name]) if owner is not None and name in owner.attrs else ""
+    if owner is not None and name in owner.attrs:
+        return word_of(owner.attrs[name])
+    return ""

@@ -87,7 +87,9 @@ def values_behind(header: Header) -> Values:
     data_file = header.data
     needed_bytes = header.needed_bytes
     file_bytes = size_of_file(header.data)
-    offset = max(file_bytes - needed_bytes, 0) if header.offset < 0 else header.offset
+    offset = header.offset
+    if header.offset < 0:
+        offset = max(file_bytes - needed_bytes, 0)
     stored_bytes = file_bytes - offset
     if header.packing:
         check_blown_up(data_file, decoded_bytes=needed_bytes, stored_bytes=max(stored_bytes, 0))
@@ -176,4 +178,6 @@ def axes_of(
 
 
 def _unpacker(packing: str) -> Any:
-    return bz2.BZ2Decompressor() if packing == "bzip2" else zlib.decompressobj(wbits=47)
+    if packing == "bzip2":
+        return bz2.BZ2Decompressor()
+    return zlib.decompressobj(wbits=47)

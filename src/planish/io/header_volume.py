@@ -340,7 +340,9 @@ def _oriented_by_meta(
             rows = matrix.reshape(n, n)[list(axes)]
             if n != 3:
                 rows = rows[:, np.any(rows != 0, axis=0)][:, :3]
-            return [Orientation(f"the {key}", rows)] if rows.shape == (3, 3) else []
+            if rows.shape == (3, 3):
+                return [Orientation(f"the {key}", rows)]
+            return []
     letters = fields.get("anatomicalorientation", "").strip().upper()
     if len(letters) <= max(axes):
         return []
@@ -387,7 +389,9 @@ EXAMPLE = (
 
 def _raw_header(path: Path) -> Header:
     """Header of raw values in a TOML file; either of the two files is given."""
-    header_file = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
+    header_file = path
+    if path.suffix.lower() != ".toml":
+        header_file = path.with_name(path.name + ".toml")
     if not header_file.is_file() and header_file != path:
         raise _no_header(path, header_file)
     if size_of_file(header_file) > 100_000:
@@ -451,7 +455,9 @@ def _raw_faults(fields: Fields) -> Iterator[str]:
 
 
 def _per_axis(voxel_um: Any) -> list[Any]:
-    return voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
+    if isinstance(voxel_um, list):
+        return voxel_um
+    return [voxel_um] * 3
 
 
 def _are_three(numbers: Any, *types: type) -> bool:

@@ -164,7 +164,9 @@ def channel_of(
     if gamma is not None:
         scale = full_scale(picture.values.dtype, picture.bits)
         picture = picture._replace(values=linear_grey(picture.values, gamma, scale))
-    samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
+    samples = picture.values
+    if picture.values.ndim != 3:
+        samples = picture.values[..., np.newaxis]
     n_channels = samples.shape[-1]
     name = channel.strip().casefold()
     if re.fullmatch("[0-9]+", name):

@@ -231,7 +231,8 @@ def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
     picture = look_at.loaded(partial(load_picture, path))
     is_read = picture is not None
     picture = picture or load_picture(path, decode=False)
-    full_values, shape = picture.values, picture.values.shape[:2]
+    full_values = picture.values
+    shape = picture.values.shape[:2]
     # Of a larger image, some rows and columns are looked at.
     stride = max(1, math.ceil(math.sqrt(math.prod(shape) / SAMPLE_VALUES)))
     picture = picture._replace(values=full_values[::stride, ::stride])

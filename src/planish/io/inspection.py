@@ -35,7 +35,9 @@ class _Totals:
 
     def add(self, plane: Array, full_scale: int | None) -> bool:
         """Count the values of a plane; True if it has several grey values."""
-        finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
+        finite_values = plane
+        if plane.dtype.kind == "f":
+            finite_values = plane[np.isfinite(plane)]
         self.n_values += plane.size
         self.n_finite += finite_values.size
         if full_scale is not None:

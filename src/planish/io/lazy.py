@@ -201,12 +201,16 @@ def reordered(values: Values, order: Sequence[int]) -> Values:
     """Values with their axes in another order, wherever they lie."""
     if isinstance(values, FileArray) and [*order] != [*range(values.ndim)]:
         return ViewArray(values, order)
-    return values if isinstance(values, FileArray) else values.transpose(order)
+    if isinstance(values, FileArray):
+        return values
+    return values.transpose(order)
 
 
 def supported_type(dtype: DType) -> DType:
     """Widen float16, in which the kernels cannot compute, to float32; other types stay."""
-    return np.dtype(np.float32) if dtype == np.float16 else dtype
+    if dtype == np.float16:
+        return np.dtype(np.float32)
+    return dtype
 
 
 def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
@@ -240,7 +244,9 @@ def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
 def widened(array: FileArray) -> FileArray:
     """An array whose values the kernels can compute with."""
     dtype = supported_type(array.dtype)
-    return array if dtype == array.dtype else ViewArray(array, range(array.ndim), dtype=dtype)
+    if dtype == array.dtype:
+        return array
+    return ViewArray(array, range(array.ndim), dtype=dtype)
 
 
 def is_small(array: FileArray, limit: int) -> bool:

@@ -282,7 +282,9 @@ def _noise_variance(values: Grey, lag: int = _LAG) -> float:
     blocks = mixed[: n_rows * _BLOCK, : n_cols * _BLOCK].reshape(n_rows, _BLOCK, n_cols, _BLOCK)
     variances = (blocks**2).mean((1, 3))
     finite = variances[np.isfinite(variances)]
-    return float(np.median(finite)) / 4 if finite.size else 0.0
+    if finite.size:
+        return float(np.median(finite)) / 4
+    return 0.0
 
 
 def resized(values: Grey, shape: Shape) -> Grey:

@@ -146,7 +146,9 @@ def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
         names: list[str] = []
         copies: list[str] = []
         for name, node in sorted(root.members(max_depth=None)):
-            arrays = [*node.array_values()] if isinstance(node, zarr.Group) else []
+            arrays = []
+            if isinstance(node, zarr.Group):
+                arrays = [*node.array_values()]
             if not arrays or name.startswith(f"{OVERVIEWS}/"):
                 continue
             names.append(name)
@@ -176,7 +178,9 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
     with readable(path):
         group = stored_group(path, name)
         selection = group if variables is None else group[list(variables)]
-        return selection if is_large(group.data_vars.values()) else selection.load()
+        if is_large(group.data_vars.values()):
+            return selection
+        return selection.load()
 
 
 def _check_chunks(path: Path, groups: Iterable[str]) -> None:

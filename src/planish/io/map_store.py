@@ -84,7 +84,8 @@ class StoredMaps:
                 # Tiles begin at multiples of more pixels than there are in one of the last
                 # overview.
                 maps = halved(maps)
-                r0, c0 = tile.r0 >> k, tile.c0 >> k
+                r0 = tile.r0 >> k
+                c0 = tile.c0 >> k
                 overview_tile = Tile(r0, r0 + maps.sizes["y"], c0, c0 + maps.sizes["x"])
                 grid = Grid(y_um=middles(grid.y_um), x_um=middles(grid.x_um))
                 self._add(f"{OVERVIEWS}/{name}/{k}", grid, overview_tile, maps)
@@ -150,7 +151,8 @@ def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -
     dtype: Any = like.dtype
     fill_value: Any = np.nan if dtype.kind == "f" else 0
     if dtype.kind in "OU":
-        dtype, fill_value = str, ""
+        dtype = str
+        fill_value = ""
     return group.create_array(
         key,
         shape=shape,

@@ -117,7 +117,8 @@ def tag_orientation(tag: object) -> list[Orientation]:
     if not isinstance(tag, int) or tag not in TAG_STEPS:
         return []
     x_step, y_step = TAG_STEPS[tag]
-    along_y, along_x = (*y_step, 0), (*x_step, 0)
+    along_y = (*y_step, 0)
+    along_x = (*x_step, 0)
     directions = np.array([(0, 0, 1), along_y, along_x], np.float64)
     return [Orientation(f"the orientation tag {tag}", directions)]
 
@@ -138,7 +139,9 @@ def orientation_attrs(orientations: Sequence[Orientation]) -> Mapping[str, str]:
     if sources["left"]:
         right_text = f"; but right, by {and_join(sources['right'])}" if sources["right"] else ""
         return {"hand": f"left, by {and_join(sources['left'])}{right_text}"}
-    return {"turned": f"by {and_join(sources['turned'])}"} if sources["turned"] else {}
+    if sources["turned"]:
+        return {"turned": f"by {and_join(sources['turned'])}"}
+    return {}
 
 
 def orientation_notes(orientations: Sequence[Orientation]) -> Texts:

@@ -55,7 +55,9 @@ def _kinds() -> Iterator[OtherKind]:
 
 OTHER_KINDS = [*_kinds()]
 _BY_NAME = {end: kind for kind in OTHER_KINDS for end in kind.ends}
-_TEXT, _ARCHIVES, _N5 = _BY_NAME[".txt"], _BY_NAME[".zip"], _BY_NAME[".n5"]
+_TEXT = _BY_NAME[".txt"]
+_ARCHIVES = _BY_NAME[".zip"]
+_N5 = _BY_NAME[".n5"]
 _DESCRIPTIONS = [end for end, kind in _BY_NAME.items() if kind.describes_values]
 
 
@@ -198,7 +200,9 @@ def _by_suffix(files: Sequence[Path]) -> list[list[Path]]:
 def _suffix(file: Path) -> str:
     """End of a name in small letters; a number is none."""
     suffix = file.suffix.lower()
-    return "" if suffix[1:].isdecimal() else suffix
+    if suffix[1:].isdecimal():
+        return ""
+    return suffix
 
 
 def _noun(file: Path) -> str:
@@ -211,7 +215,9 @@ def _noun(file: Path) -> str:
     if _is_volume(file):
         return f"{format_of(Place(file)).name} file"
     kind = _kind_of(file)
-    return "file" if kind is None else kind.name.partition(" ")[2]
+    if kind is None:
+        return "file"
+    return kind.name.partition(" ")[2]
 
 
 def _is_volume(file: Path) -> bool:
@@ -237,7 +243,9 @@ def _kind_by_bytes(head: bytes) -> OtherKind | None:
     except UnicodeDecodeError:
         return None
     # Text has no control characters but those of lines and columns.
-    return _TEXT if words and "".join(words).isprintable() else None
+    if words and "".join(words).isprintable():
+        return _TEXT
+    return None
 
 
 def _has_zeros_alone(path: Path) -> bool:

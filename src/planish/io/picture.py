@@ -144,7 +144,9 @@ def _colour_of(page: TiffPage, axes: str, n_samples: int) -> Colour:
     if "S" in axes and has_rgb(page):
         return "rgb" if n_samples >= 3 else "other"
     is_grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK}
-    return "grey" if is_grey and "S" in axes and n_samples == 2 else "other"
+    if is_grey and "S" in axes and n_samples == 2:
+        return "grey"
+    return "other"
 
 
 def _look_up(values: Array, colormap: Array) -> tuple[Array, Colour]:
@@ -232,7 +234,9 @@ def _raster_colour(mode: str, values: Array) -> Colour:
     """Meaning of the samples of a raster, by the mode in which Pillow has it."""
     if mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
         return "other"
-    return "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
+    if values.ndim == 3 and values.shape[-1] >= 3:
+        return "rgb"
+    return "grey"
 
 
 def _stated_by_raster(
@@ -240,7 +244,9 @@ def _stated_by_raster(
 ) -> tuple[Stated, ...]:
     """Pixel size by the resolution of the format, and by that of Exif."""
     # Along x, y in the file.
-    density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
+    density = (None, None)
+    if isinstance(dpi, tuple) and len(dpi) == 2:
+        density = dpi[1::-1]
     stated = stated_density(f"the {kind.upper()} resolution", density, "inch", writer)
     exif_unit = UNIT_OF_TAG.get(exif.get(296, 2), "")
     exif_density = [_real(exif.get(tag)) for tag in (283, 282)]
@@ -258,7 +264,9 @@ def _raster_values(image: Image.Image, data: bytes, *, is_16_bit: bool) -> Array
     if image.mode not in {"P", "PA"}:
         return np.asarray(image)
     colours = np.asarray(image.convert("RGB"))
-    return colours[..., 0].copy() if np.all(colours == colours[..., :1]) else colours
+    if np.all(colours == colours[..., :1]):
+        return colours[..., 0].copy()
+    return colours
 
 
 def _raster_zeros(image: Image.Image, *, is_16_bit: bool) -> Array:
@@ -277,4 +285,6 @@ def _raster_zeros(image: Image.Image, *, is_16_bit: bool) -> Array:
 
 
 def _real(value: object) -> float | None:
-    return float(value) if isinstance(value, Real) else None
+    if isinstance(value, Real):
+        return float(value)
+    return None

@@ -117,7 +117,8 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
-    marker, key_file = work / WORK_MARKER, work / "key"
+    marker = work / WORK_MARKER
+    key_file = work / "key"
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
         fault_text = _fault_of_work(work)

@@ -107,14 +107,18 @@ class Log:
     def numbers(self) -> range | None:
         """Numbers of the slices."""
         first, last = self.ends
-        return None if first is None or last is None else range(first, last + 1, self.step)
+        if first is None or last is None:
+            return None
+        return range(first, last + 1, self.step)
 
     @property
     def window(self) -> Pair | None:
         """Attenuation at grey 0 and at the largest grey value, as NRecon has it."""
         ends = ("minimum", "maximum")
         low, high = [_number(self.keys.get(f"{end} for cs to image conversion")) for end in ends]
-        return None if low is None or high is None or low >= high else (low, high)
+        if low is None or high is None or low >= high:
+            return None
+        return low, high
 
     @property
     def size_um(self) -> float | None:
@@ -126,7 +130,9 @@ class Log:
     @property
     def source(self) -> str:
         """Name in messages."""
-        return "NRecon log" if self.stem.endswith("_rec") else self.name
+        if self.stem.endswith("_rec"):
+            return "NRecon log"
+        return self.name
 
     @property
     def details(self) -> Settings:
@@ -162,7 +168,9 @@ def _named(prefix: str, slices: list[Path]) -> tuple[list[NumberedFile], bool]:
             by_ending[(match[2] or "").casefold()].append((int(match[1]), path))
     if "" in by_ending:
         return sorted(by_ending[""]), True
-    return (sorted(*by_ending.values()), False) if len(by_ending) == 1 else ([], False)
+    if len(by_ending) == 1:
+        return sorted(*by_ending.values()), False
+    return [], False
 
 
 def read_scan(folder: Path) -> Scan | None:
@@ -235,7 +243,8 @@ def _scan_by_projections(logs: list[Log], slices: list[Path]) -> Scan | None:
         sizes = [size for key in PROJECTED if (size := _number(keys.get(key)))]
         if not sizes:
             continue
-        name, first_slice = log.name, slices[0]
+        name = log.name
+        first_slice = slices[0]
         projections, _ = _named(keys.get("filename prefix") or log.stem, slices)
         if projections and not re.search("_rec|_voi", log.stem):
             raise VolumeError(
@@ -314,7 +323,9 @@ def ordered_slices(folder: Path, scan: Scan | None) -> SliceOrder:
     if not log.named_slices:
         order = list_slices(folder)
         _check_count(log, len(order.files), folder)
-        return order if log.step == 1 else order._replace(doubts=())
+        if log.step == 1:
+            return order
+        return order._replace(doubts=())
     numbers = [number for number, _ in log.named_slices]
     files = [path for _, path in log.named_slices]
     check_several(files)

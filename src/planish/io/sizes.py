@@ -277,7 +277,9 @@ def doubt_of_size(stated: Sequence[Stated], source: str) -> str:
     """Say why the size that was agreed on may be nobody's measurement; nothing where it is one."""
     sized = [s for s in stated if s.um[-1] is not None]
     is_sure = source.startswith("given") or not all(s.doubt for s in sized)
-    return "" if is_sure else " ".join(dict.fromkeys(s.doubt for s in sized))
+    if is_sure:
+        return ""
+    return " ".join(dict.fromkeys(s.doubt for s in sized))
 
 
 def size_attrs(
@@ -343,10 +345,10 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         writer = writer_of(tags, photo_tags if isinstance(photo_tags, dict) else ())
         stated = _stated_by_ome(tif.ome_metadata, path)
         if imagej is not None and str(imagej.get("unit", "")).strip():
-            return (*stated, _stated_by_imagej(imagej, density, writer))
+            return *stated, _stated_by_imagej(imagej, density, writer)
         # The resolution tags, with their unit, never state z.
         unit = UNIT_OF_TAG.get(page.tags.valueof(296), "")
-        return (*stated, stated_density("the TIFF resolution", density, unit, writer))
+        return *stated, stated_density("the TIFF resolution", density, unit, writer)
 
 
 def _stated_by_ome(ome: str | None, path: Path) -> list[Stated]:
@@ -410,19 +412,25 @@ def _pixel_um(per_unit: float | None, unit: str) -> float | None:
     if unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
         return from_density(per_unit, unit)
     unit_length = unit_um(unit)
-    return None if per_unit is None or unit_length is None else unit_length / per_unit
+    if per_unit is None or unit_length is None:
+        return None
+    return unit_length / per_unit
 
 
 def _fraction(tag_value: Any) -> float | None:
     if not isinstance(tag_value, tuple) or len(tag_value) != 2:  # pyright: ignore[reportUnknownArgumentType]
         return None
     numerator, denominator = map(_number, tag_value)
-    return None if numerator is None or denominator is None else numerator / denominator
+    if numerator is None or denominator is None:
+        return None
+    return numerator / denominator
 
 
 def _number(raw_value: Any) -> float | None:
     number = _real(raw_value)
-    return number if number is not None and math.isfinite(number) and number > 0 else None
+    if number is not None and math.isfinite(number) and number > 0:
+        return number
+    return None
 
 
 def _real(raw_value: Any) -> float | None:

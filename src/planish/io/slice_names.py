@@ -75,7 +75,8 @@ def check_several(files: list[Path]) -> None:
     """Refuse a single slice, and a stack in place of slices."""
     if len(files) > 1:
         return
-    file, folder = files[0], files[0].parent
+    file = files[0]
+    folder = files[0].parent
     if kind_of(file) == "tiff":
         with open_series(file) as (_, series):
             if not is_picture(series):

@@ -175,7 +175,9 @@ def _slice_header(file: Path) -> SliceHeader:
         with reading(file), file.open("rb") as stream:
             image = PLUGINS[format_name](stream)
             # Pillow decodes a PNG to look for the tag behind its pixels: the key is without it.
-            orientation = image.getexif().get(274, 1) if format_name == "jpeg" else 1
+            orientation = 1
+            if format_name == "jpeg":
+                orientation = image.getexif().get(274, 1)
             key = (format_name, image.size, image.mode, image.info.get("dpi"), orientation)
             return SliceHeader(key, np.dtype(np.uint8))
     with open_series(file) as (tif, series), reading(file):

@@ -52,7 +52,8 @@ _NOTED = (
 _SOURCE = "source.json"
 _LOCK = "lock"
 # Voxels along the longest and the shortest axis of the last level.
-_SMALLEST, _LEAST_DEPTH = 256, 16
+_SMALLEST = 256
+_LEAST_DEPTH = 16
 Array = zarr.Array[Any]
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
 Progress = Callable[[str, int, int], None]
@@ -371,4 +372,6 @@ def _identity(volume: xr.DataArray) -> Entries:
         identity[key] = volume.attrs.get(key)
     corrections = volume.attrs.get("corrections")
     # Other options, other voxels.
-    return identity if corrections is None else identity | {"corrections": corrections}
+    if corrections is None:
+        return identity
+    return identity | {"corrections": corrections}

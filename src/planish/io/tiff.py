@@ -231,7 +231,9 @@ def _described_images(tif: TiffFile) -> int:
     """Number of grey images that ImageJ or the one image of OME describes; 1 where none does."""
     pixels = _ome_pixels(tif)
     sizes = re.findall(r"\bSize[ZCT]\s*=\s*[\"'](\d{1,9})[\"']", pixels[0]) if pixels else []
-    n_planes = math.prod(map(int, sizes)) if len(pixels) == 1 else 1
+    n_planes = 1
+    if len(pixels) == 1:
+        n_planes = math.prod(map(int, sizes))
     return max(n_planes, _imagej_images(tif))
 
 

@@ -106,7 +106,9 @@ def _series_values(
     samples_first = axes[1] == "S"
     if array is not None:
         axis_order = (0, 2, 3) if samples_first else (0, 1, 2)
-        return array if change is None else ViewArray(array, axis_order, change)
+        if change is None:
+            return array
+        return ViewArray(array, axis_order, change)
     values = map_or_decode(series, path, memory_bytes=limit_bytes).reshape(shape)
     if change is None or "S" not in axes:
         return values

@@ -162,7 +162,8 @@ def _part_of(path: Path, part: str) -> str:
 
 
 def _open_node(path: Path, name: str) -> Any:
-    node_folder, node_text = path / name, name or "its root"
+    node_folder = path / name
+    node_text = name or "its root"
     metadata = _metadata_files(node_folder)
     if not metadata:
         raise FileError(
@@ -238,7 +239,9 @@ def _is_volume(path: Path, name: str) -> bool:
 def _ome_keys(group: Any, path: Path) -> Keys:
     with reading(path):
         attrs: Any = dict(group.attrs)
-    return attrs["ome"] if isinstance(attrs.get("ome"), dict) else attrs
+    if isinstance(attrs.get("ome"), dict):
+        return attrs["ome"]
+    return attrs
 
 
 def _multiscale_of(group: Any, path: Path) -> Keys | None:

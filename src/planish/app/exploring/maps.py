@@ -101,9 +101,12 @@ def _range(finite: Floats) -> Pair:
     # Single values far off would take the digits: of them 0.05 % may lie beyond either end.
     low, high = map(float, np.percentile(finite, [0.05, 99.95]))
     if high > low and maximum - minimum > 1.5 * (high - low):
-        minimum, maximum = low, high
+        minimum = low
+        maximum = high
     tolerance = 1e-9 * max(abs(minimum), abs(maximum), 1e-300)
-    return (minimum, maximum) if maximum - minimum > tolerance else (minimum - 0.5, minimum + 0.5)
+    if maximum - minimum > tolerance:
+        return minimum, maximum
+    return minimum - 0.5, minimum + 0.5
 
 
 def _spacing(finite: Floats, max_steps: int) -> float | None:
@@ -119,7 +122,9 @@ def _spacing(finite: Floats, max_steps: int) -> float | None:
     if (unique[-1] - unique[0]) / step > max_steps:
         return None
     step_counts = differences / step
-    return step if np.abs(step_counts - np.rint(step_counts)).max() < 1e-6 else None
+    if np.abs(step_counts - np.rint(step_counts)).max() < 1e-6:
+        return step
+    return None
 
 
 def _deflated(codes: Codes, order: int) -> bytes:
@@ -300,7 +305,8 @@ def _packed_map(
     if (scale.high - scale.low) / packed_map.step < 100:
         packed_map = packed(data.values, bits=16)
     # Per cent of the values that the scatter spans.
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     if valid_values.size:
         low, high = map(float, np.percentile(valid_values, (0.05, 99.95)))
     return PageMap(

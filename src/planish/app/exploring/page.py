@@ -63,7 +63,9 @@ def render(
         data_json = data_json.replace(character, escape)
     # The map that leads as a picture of 640 pixels for those without a script.
     factor = max(1.0, max(maps.headline.shape) / 640)
-    headline_image = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
+    headline_image = maps.headline
+    if factor > 1:
+        headline_image = area_mean(maps.headline, (factor, factor))
     page = template(_PACKAGE, "explore.html.j2").render(
         results=results,
         summary=summary,

@@ -32,7 +32,10 @@ BUDGET = 5_000_000
 """Letters that all slices may take."""
 
 # Pixels of a slice; points of a line in it.
-_MAX_SLICES, _MAX_COLS, _MAX_ROWS, _MAX_POINTS = 320, 1600, 300, 600
+_MAX_SLICES = 320
+_MAX_COLS = 1600
+_MAX_ROWS = 300
+_MAX_POINTS = 600
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +153,9 @@ def _read_names(surfaces: xr.Dataset) -> list[str]:
 
 
 def _pitch(coordinates: Array) -> float:
-    return float(coordinates[1] - coordinates[0]) if coordinates.size > 1 else 1.0
+    if coordinates.size > 1:
+        return float(coordinates[1] - coordinates[0])
+    return 1.0
 
 
 def _planes(surfaces: xr.Dataset, depth_um: Array) -> slice:
@@ -184,12 +189,15 @@ def _read_greys(
     """
     shape = (rows.size, planes.stop - planes.start, volume.sizes[frame.cols] // col_step)
     greys = np.zeros(shape, np.uint8)
-    row_step = int(rows[1] - rows[0]) if rows.size > 1 else 1
+    row_step = 1
+    if rows.size > 1:
+        row_step = int(rows[1] - rows[0])
     for block in _blocks(volume, frame, rows, planes):
         is_in_block = np.ones(rows.size, bool)
         block_planes = block
         if frame.rows == "z":
-            is_in_block, block_planes = (rows >= block.start) & (rows < block.stop), planes
+            is_in_block = (rows >= block.start) & (rows < block.stop)
+            block_planes = planes
         if not is_in_block.any():
             continue
         progress("slices", f"{frame.rows} of the volume, planes {block.start} to {block.stop}")
@@ -215,7 +223,8 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> It
     sizes = {frame.rows: rows.size, frame.cols: volume.sizes[frame.cols], frame.through: n_planes}
     plane_voxels = math.prod(size for axis, size in sizes.items() if axis != "z")
     block_planes = max(SLICES_VOXELS // max(plane_voxels, 1) // chunk_planes, 1) * chunk_planes
-    first, last = planes.start, planes.stop
+    first = planes.start
+    last = planes.stop
     if frame.rows == "z":
         first = int(rows[0])
         last = int(rows[-1]) + 1
@@ -232,7 +241,8 @@ def _greys(values: Array, scale: Scale) -> NDArray[np.uint8]:
 
 def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     """Cut every slice to the sheet in it, all to the same height, and pack it."""
-    x_um, heights_um = slices[0].x, slices[0].heights
+    x_um = slices[0].x
+    heights_um = slices[0].heights
     dx_um = _pitch(x_um)
     dz_um = abs(_pitch(heights_um))
     thickness_um = np.stack([cut.lines["top"] - cut.lines["bottom"] for cut in slices])
