@@ -153,7 +153,7 @@ FORMATS: dict[str, MarkFormat] = {
         unit="um",
         writable=False,
         row=(
-            "[tables of other programs](#columns-of-other-programs) (read only)",
+            "[tables of other programs](#which-columns-a-table-needs) (read only)",
             "one layer, or pairs",
             "that of the headings or of the program",
             "0; QuPath 0.5; MATLAB 1",
