@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import xarray as xr
 
 from planish.analyze.compare import is_property
@@ -100,7 +99,8 @@ class ExportRequest:
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
     """What is written, by what the format holds and the group that was asked for."""
-    group, file_format = request.params.group, request.file_format
+    group = request.params.group
+    file_format = request.file_format
     if "run" in file_format.holds:
         folder = request.run.folder
         if folder is None:
@@ -114,15 +114,23 @@ def _output_files(request: ExportRequest) -> list[OutputFile]:
                 f"{file_format.title} holds surfaces, and `group` says {group}. Leave `group` out."
             )
         return _surfaces(request)
+    # NRRD holds both: maps where `group` names a group of them, else registrations.
     are_maps = "maps" in file_format.holds and group in request.run.groups
     if not are_maps and {"marks", "registration"} & {*file_format.holds}:
         return _registrations(request)
-    return _straightened(request) if group == STRAIGHTENED else _maps(request)
+    if group == STRAIGHTENED:
+        return _straightened(request)
+    return _maps(request)
 
 
 def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text: str) -> None:
-    """Raise ResourceError for what the format, or the memory, does not hold."""
-    file_format, allowed_bytes = request.file_format, request.compute.for_work
+    """Raise ResourceError for what the format, or the memory, does not hold.
+
+    ``count``: pixels or nodes, which ``size_text`` states in words; ``remedy_text``: a sentence on
+    what to do where they are more than the format holds.
+    """
+    file_format = request.file_format
+    allowed_bytes = request.compute.for_work
     if file_format.most is not None and count > file_format.most:
         raise ResourceError(
             f"{file_format.title} is written of at most {file_format.most / 1e6:.0f} million"
@@ -145,7 +153,8 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     if group == "maps" and IMAGE in names:
         _check_image(request)
     levels = {name: run_contents.map_levels(request.store, group, name) for name in names}
-    maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
+    map_data = run_contents.maps_of(run, group, names)
+    maps = Maps(data=map_data, group=group, levels=levels)
     rows, cols = maps.shape
     remedy_text = "Write them as tiff, txt or netcdf, which have no limit."
     _check_size(request, rows * cols, f"{rows} x {cols}", remedy_text)
@@ -156,13 +165,17 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
             f"{request.out.name} holds one map, and {len(names)} are asked for. Choose one with"
             f" `map`, or give a folder. The group {group} holds {', '.join(names)}."
         )
-    maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
-    return [request.file(group.rpartition("/")[2], maps, maps_text)]
+    maps_text = f"{len(names)} maps"
+    if len(names) < 5:
+        maps_text = ", ".join(names)
+    file_stem = group.rpartition("/")[2]  # NAME of layers/NAME
+    return [request.file(file_stem, maps, maps_text)]
 
 
 def _check_image(request: ExportRequest) -> None:
     """Raise ResourceError where the image does not fit into the memory."""
-    image_bytes = 8 * math.prod(Grid.of(request.run.groups["linked"]).shape)
+    image_grid = Grid.of(request.run.groups["linked"])
+    image_bytes = 8 * math.prod(image_grid.shape)
     memory_bytes = request.compute.for_work
     if image_bytes > memory_bytes:
         raise ResourceError(
@@ -173,10 +186,13 @@ def _check_image(request: ExportRequest) -> None:
 
 
 def _straightened(request: ExportRequest) -> list[OutputFile]:
-    params, file_format = request.params, request.file_format
-    if "volume" not in file_format.holds:
-        names = ", ".join(name for name, row in FORMATS.items() if "volume" in row.holds)
-        raise InputError(f"The straightened volume is written as {names}, not as {params.to}.")
+    """The volume along the normals, in one file."""
+    params = request.params
+    if "volume" not in request.file_format.holds:
+        names = [name for name, row in FORMATS.items() if "volume" in row.holds]
+        raise InputError(
+            f"The straightened volume is written as {', '.join(names)}, not as {params.to}."
+        )
     if params.maps:
         raise StudyError(
             "The straightened volume holds grey values, and `map` chooses maps. Leave `map` out."
@@ -191,7 +207,8 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
     """Surfaces of the sheet, each in its own file."""
-    run, params = request.run, request.params
+    run = request.run
+    params = request.params
     facts = run_contents.sheet_facts(run)
     if facts is None:
         raise InputError(
@@ -207,9 +224,12 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
         )
     columns = surfaces[[*surface_names, *maps]]
     row_step, col_step = steps_of(columns, params.mesh_um)
-    n_nodes = -(-columns.sizes["y"] // row_step) * -(-columns.sizes["x"] // col_step)
+    n_rows = math.ceil(columns.sizes["y"] / row_step)
+    n_cols = math.ceil(columns.sizes["x"] / col_step)
+    n_nodes = n_rows * n_cols
     remedy_text = "Give a larger `mesh_um`, such as four columns."
     _check_size(request, n_nodes, f"{n_nodes / 1e6:.1f} million", remedy_text)
+    # The first map is the colour of the nodes, and the only one that needs limits.
     scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
     return [request.file(name, Surface(columns, name, maps, scales)) for name in surface_names]
 
@@ -222,6 +242,7 @@ def _chosen(
     Where none is named, all that were measured, and all properties, the headline first.
     """
     variables = {str(name): variable for name, variable in surfaces.data_vars.items()}
+    # Numbers and truth values; a node carries no text.
     names = [n for n, v in variables.items() if v.ndim == 2 and v.dtype.kind in "fiub"]
     checked = checked_names(requested, names, "surfaces")
     maps = [name for name in checked if name not in SURFACES]
@@ -234,7 +255,7 @@ def _chosen(
 def _measured_surfaces(surfaces: xr.Dataset, names: Sequence[str]) -> list[str]:
     """Surfaces among some names, or all; InputError where one of them was not measured."""
     present = filter(surfaces.__contains__, SURFACES)
-    measured = [name for name in present if np.isfinite(surfaces[name].values).any()]
+    measured = [name for name in present if surfaces[name].notnull().any()]
     chosen = [name for name in names if name in SURFACES] or measured
     unmeasured = [name for name in chosen if name not in measured]
     if unmeasured:
@@ -355,7 +376,8 @@ def export(
 def _write_one(request: ExportRequest, file: OutputFile) -> None:
     """Write what an export makes as one file, or as one folder of its format."""
     request.progress("write", file.summary_text)
-    out, is_folder = request.out, request.file_format.is_folder
+    out = request.out
+    is_folder = request.file_format.is_folder
     if is_folder and isinstance(file.content, xr.DataArray):
         request.write(file.content, out)  # a store, which goes on where it was killed
         return

@@ -55,13 +55,15 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     (name,) = maps.names
     pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
-    note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=reduction)
+    shown = {"map": name, "low": scale.low, "high": scale.high, "reduced": reduction}
+    note = history.json(**maps.facts(), **shown)
     program_fields: Entries = {"Date": None, "Creator": history.program}
     if params.to == "png":
         program_fields = {"Software": history.program}
     metadata = program_fields | {"Title": maps.titles[name], "Description": note}
     with style.context(["default", _STYLE]), path.open("wb") as file:  # whatever the user has set
-        _figure(maps, pixels, reduction, scale).savefig(file, format=params.to, metadata=metadata)
+        figure = _figure(maps, pixels, reduction, scale)
+        figure.savefig(file, format=params.to, metadata=metadata)
 
 
 def colormap_of(scale: Scale) -> Colormap:
@@ -70,7 +72,10 @@ def colormap_of(scale: Scale) -> Colormap:
 
 
 def _reduced(maps: Maps, name: str) -> tuple[Singles, float]:
-    """Give a map's values, at most as fine as a picture shows, and how much they were reduced."""
+    """Give a map's values (rows, cols), at most as fine as a picture shows them.
+
+    Also how many pixels of the map make one of them along either axis.
+    """
     reduction = max(1.0, max(maps.shape) / MOST)
     if reduction > 1:
         means = area_mean(maps.data[name], (reduction, reduction))
@@ -81,27 +86,34 @@ def _reduced(maps: Maps, name: str) -> tuple[Singles, float]:
 def _figure(maps: Maps, pixels: Singles, reduction: float, scale: Scale) -> Figure:
     """Lay the picture out in pixels.
 
-    Every pixel of the map is the same number of whole pixels wide and high.
+    Every pixel of the map is the same number of whole pixels wide and high. ``pixels`` (rows, cols)
+    are as :func:`_reduced` gives them, each ``reduction`` pixels of the map along either axis.
     """
     (name,) = maps.names
-    (dy_um, dx_um), (y0, x0) = maps.pixel_um, maps.origin_um
+    dy_um, dx_um = maps.pixel_um
+    y0, x0 = maps.origin_um
     rows, cols = pixels.shape
     pixel_aspect = dy_um / dx_um
     # A map whose longer side has fewer pixels is drawn larger, by a whole number.
     magnification = max(1, math.ceil(1000 / max(rows * pixel_aspect, cols)))
     width_px = cols * magnification
     height_px = round(rows * pixel_aspect * magnification)
-    size_px = (_LEFT + max(width_px, 420) + _RIGHT, _TOP + max(height_px, 300) + _BELOW)
-    figure = Figure(figsize=(size_px[0] / _DPI, size_px[1] / _DPI), dpi=_DPI, facecolor="white")
+    # A small map still has room for its title and the numbers of its colour bar.
+    bar_px = max(height_px, 300)
+    page_width = _LEFT + max(width_px, 420) + _RIGHT
+    page_height = _TOP + bar_px + _BELOW
+    figure = Figure(figsize=(page_width / _DPI, page_height / _DPI), dpi=_DPI, facecolor="white")
 
-    def box(x: float, y: float, w: float, h: float) -> Any:
-        """Axes at pixels from the upper left corner."""
-        return figure.add_axes(
-            (x / size_px[0], 1 - (y + h) / size_px[1], w / size_px[0], h / size_px[1])
-        )
+    def box(x: float, y: float, width: float, height: float) -> Any:
+        """Axes at pixels from the upper left corner; matplotlib has shares from the lower one."""
+        bottom = 1 - (y + height) / page_height
+        return figure.add_axes((x / page_width, bottom, width / page_width, height / page_height))
 
-    x0, y0 = x0 - dx_um / 2, y0 - dy_um / 2
-    extent = (x0, x0 + cols * dx_um * reduction, y0 + rows * dy_um * reduction, y0)
+    # Outer edges of the map, from the middle of its first pixel.
+    left_um = x0 - dx_um / 2
+    top_um = y0 - dy_um / 2
+    map_um = cols * dx_um * reduction
+    extent = (left_um, left_um + map_um, top_um + rows * dy_um * reduction, top_um)
     map_axes = box(_LEFT, _TOP, width_px, height_px)
     map_image = map_axes.imshow(
         np.ma.masked_invalid(pixels),
@@ -112,27 +124,25 @@ def _figure(maps: Maps, pixels: Singles, reduction: float, scale: Scale) -> Figu
         interpolation="nearest",
         aspect="auto",
     )
-    map_axes.locator_params(nbins=max(3, min(9, width_px // 160)), axis="x")
-    map_axes.locator_params(nbins=max(3, min(9, height_px // 110)), axis="y")
+    # Numbers along x are wider than along y are high.
+    for axis, spaces in (("x", width_px // 160), ("y", height_px // 110)):
+        map_axes.locator_params(nbins=max(3, min(9, spaces)), axis=axis)
     map_axes.set(xlabel=f"{maps.dims[1]} / µm", ylabel=f"{maps.dims[0]} / µm")
-    colour_bar = figure.colorbar(
-        map_image, cax=box(_LEFT + width_px + 40, _TOP, 36, max(height_px, 300))
-    )
+    bar_axes = box(_LEFT + width_px + 40, _TOP, 36, bar_px)
+    colour_bar = figure.colorbar(map_image, cax=bar_axes)
     colour_bar.outline.set_linewidth(0.6)  # pyright: ignore
     colour_bar.set_label(unit(maps.units[name]))
-    figure.text(
-        _LEFT / size_px[0],
-        1 - 0.6 * _TOP / size_px[1],
-        maps.titles[name],
-        fontsize=10,
-        fontweight="bold",
-        va="center",
-    )
-    map_um = cols * dx_um * reduction
+    left = _LEFT / page_width
+    title_y = 1 - 0.6 * _TOP / page_height
+    title_style: Entries = {"fontsize": 10, "fontweight": "bold", "va": "center"}
+    figure.text(left, title_y, maps.titles[name], **title_style)
     length_um = round_step(map_um / 4)
-    y = 30 / size_px[1]
-    bar_ends = _LEFT / size_px[0], (_LEFT + length_um / map_um * width_px) / size_px[0]
-    figure.add_artist(Line2D(bar_ends, (y, y), color=_INK, lw=2.4, solid_capstyle="butt"))
-    length_text = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} µm"
-    figure.text(bar_ends[1] + 18 / size_px[0], y, length_text, va="center")
+    y = 30 / page_height
+    right = (_LEFT + length_um / map_um * width_px) / page_width
+    length_line = Line2D((left, right), (y, y), color=_INK, lw=2.4, solid_capstyle="butt")
+    figure.add_artist(length_line)
+    length_text = f"{length_um:g} µm"
+    if length_um >= 1000:
+        length_text = f"{length_um / 1000:g} mm"
+    figure.text(right + 18 / page_width, y, length_text, va="center")
     return figure

@@ -46,7 +46,9 @@ def history_of(run: Run) -> ExportHistory:
     if run.folder is not None:
         study_bytes = (run.folder / RUN_TOML).read_bytes()
     else:
-        study_bytes = tomli_w.dumps({"planish": run.results.planish} | to_dict(run.study)).encode()
+        # As run.toml would have it if the run had been saved.
+        study = {"planish": run.results.planish} | to_dict(run.study)
+        study_bytes = tomli_w.dumps(study).encode()
     inputs = [
         {"layer": layer.name, "name": layer.source.name, "sha256": layer.source.sha256}
         for layer in run.results.layers
@@ -67,7 +69,7 @@ def map_group(run: Run, name: str | None) -> str:
     usual = ("linked", "maps", "refined", "surfaces", "flat")
     map_groups = [group for group in usual if group in run.groups]
     map_groups += [group for group in run.groups if re.fullmatch("layers/[^/]*", group)]
-    group = name or next((group for group in usual[:2] if group in map_groups), None)
+    group = name or next(filter(map_groups.__contains__, usual[:2]), None)
     if group is None:
         raise InputError(
             "The run holds the maps of several layers. Choose one with `group`:"
@@ -100,9 +102,11 @@ def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
     if IMAGE in names and IMAGE not in maps:
         image = run.groups["linked"][IMAGE].compute()
         # Seen from its fixed layer, a fit takes an image there back to the moving one.
-        reversed_fit = SimpleNamespace(inverse=run.registrations[run.results.moving[0].name].fit)
+        (sheet,) = run.results.moving
+        reversed_fit = SimpleNamespace(inverse=run.registrations[sheet.name].fit)
         image = image.assign_attrs(pixel_um=Grid.of(image).pixel_um)
-        grey = resample_image(image, Grid.of(maps), reversed_fit)[IMAGE].values.astype(np.float32)
+        resampled = resample_image(image, Grid.of(maps), reversed_fit)
+        grey = resampled[IMAGE].values.astype(np.float32)
         attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
         maps = maps.assign({IMAGE: (("v", "u"), grey, attrs)})
     return maps[list(names)]
@@ -115,8 +119,9 @@ def map_levels(store: Path | None, group: str, name: str) -> list[Path]:
     """
     if store is None:
         return []
-    levels = (map_folder(store, level, name) for level in (group, *overviews_of(store, group)))
-    return [level for level in levels if level is not None]
+    groups = (group, *overviews_of(store, group))
+    folders = (map_folder(store, level_group, name) for level_group in groups)
+    return [folder for folder in folders if folder is not None]
 
 
 def scale_of(maps: xr.Dataset, name: str) -> Scale:
@@ -129,11 +134,13 @@ def scale_of(maps: xr.Dataset, name: str) -> Scale:
     is_masked = name == IMAGE and "valid" in maps
     if is_masked:
         pooled.append("valid")
-    _, samples = thinned(*(maps[key] for key in pooled))
+    _, samples = thinned(*(maps[key] for key in pooled))  # every n-th pixel of each, in memory
     if is_masked:
-        samples = [np.where(samples[1], samples[0], np.nan)]
-    finite = np.concatenate([sample[np.isfinite(sample)] for sample in samples]).astype(np.float64)
-    return colours_of(maps[name].rename(name), finite)
+        grey, valid = samples
+        samples = [np.where(valid, grey, np.nan)]
+    finite = [sample[np.isfinite(sample)] for sample in samples]
+    limit_values = np.concatenate(finite).astype(np.float64)
+    return colours_of(maps[name].rename(name), limit_values)
 
 
 def sheet_facts(run: Run) -> LayerFacts | None:
@@ -159,8 +166,9 @@ def straightened_volume(
     volume, _ = read_sheet_volume(volume_params(run, facts, progress), compute, progress)
     volume_coords = run.groups["maps"][[f"volume_{axis}" for axis in "xyz"]]
     params = _mapped_layer(run, facts.name).properties
+    surfaces = run.groups["surfaces"]
     straightened_grey = straightened(
-        volume, run.groups["surfaces"], volume_coords, params=params, depth_um=depth_um
+        volume, surfaces, volume_coords, params=params, depth_um=depth_um
     )
     return straightened_grey.assign_attrs(
         group=STRAIGHTENED,
@@ -200,8 +208,11 @@ def sheet_run(run: Run, name: str) -> Run | None:
     facts = sheet_facts(run)
     if facts is not None and facts.name == name:
         return run
-    folders = [run.folder / "layers" / name] if run.folder is not None else []
-    folders += [Path(layer.run) for layer in run.study.layers if layer.name == name and layer.run]
+    folders: list[Path] = []
+    if run.folder is not None:
+        folders.append(run.folder / "layers" / name)
+    given_runs = [layer.run for layer in run.study.layers if layer.name == name and layer.run]
+    folders += map(Path, given_runs)
     for folder in folders:
         if (folder / MAPS / "zarr.json").is_file():
             other = open_run(folder)
@@ -211,6 +222,7 @@ def sheet_run(run: Run, name: str) -> Run | None:
 
 
 def _mapped_layer(run: Run, name: str) -> GivenLayer:
+    """A layer of the study with its volume; of a layer that is a run, that of the run's study."""
     layer = next(layer for layer in run.study.layers if layer.name == name)
     if layer.run is None:
         return layer
@@ -234,7 +246,9 @@ def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
             "The run is that of one sheet: nothing is registered. Give a run of 'planish link'."
         )
     names = [layer.name for layer in moving]
-    moving_name = None if group in (None, "linked") else str(group).removeprefix("layers/")
+    moving_name = None
+    if group is not None and group != "linked":
+        moving_name = group.removeprefix("layers/")
     if moving_name is not None and moving_name not in names:
         raise InputError(
             f"No layer {moving_name!r} is registered; there are"
@@ -246,12 +260,17 @@ def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
 def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     """Give a moving layer's registration in both directions, with the pixels of both layers."""
     assert layer.registration is not None
-    fit, target = run.registrations[layer.name].fit, layer.registration.to
+    target = layer.registration.to
+    fit = run.registrations[layer.name].fit
     transform = fit.transform
-    centre = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
+    # The point of the moving layer around which the affine map turns: the middle of the marks.
+    centre = np.zeros(2)
+    if not isinstance(transform, Similarity):
+        centre = np.array(transform.source)
     (a, b), (c, d) = transform.matrix().tolist()
+    source_um = pair_of(centre)
     target_um = pair_of(transform(centre))
-    affine = Affine(linear=((a, b), (c, d)), source=pair_of(centre), target=target_um)
+    affine = Affine(linear=((a, b), (c, d)), source=source_um, target=target_um)
     is_affine = isinstance(transform, Similarity | Affine)
     moving = grid_of(run, layer.name) or _grid_around(fit.moving)
     fixed = grid_of(run, target) or _grid_around(fit.fixed)
@@ -268,7 +287,8 @@ def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
     assert layer.registration is not None
     marks = run.registrations[layer.name].marks
     layers = {side: dict(layer_attrs) for side, layer_attrs in marks.attrs["layers"].items()}
-    for side, name in (("moving", layer.name), ("fixed", layer.registration.to)):
+    names = {"moving": layer.name, "fixed": layer.registration.to}
+    for side, name in names.items():
         grid = grid_of(run, name)
         if grid is not None:
             layers[side] |= LayerPixels(origin_um=grid.origin_um).about()
@@ -288,7 +308,9 @@ def grid_of(run: Run, name: str) -> Grid | None:
     if f"layers/{name}" in run.groups and name == run.results.reference.name:
         return Grid.of(run.groups[f"layers/{name}"])
     mapped_run = sheet_run(run, name)
-    return None if mapped_run is None else Grid.of(mapped_run.groups["maps"])
+    if mapped_run is None:
+        return None
+    return Grid.of(mapped_run.groups["maps"])
 
 
 def checked_names(requested: Sequence[str], names: Sequence[str], place_text: str) -> list[str]:
@@ -306,12 +328,14 @@ def checked_names(requested: Sequence[str], names: Sequence[str], place_text: st
 
 
 def _grid_around(marks: np.ndarray) -> Grid:
+    """A grid that covers marks (n, 2), (x, y) in um, and a margin, where pixels are not known."""
     low_um = marks.min(axis=0)
     high_um = marks.max(axis=0)
     extent_um = float((high_um - low_um).max())
     # How far a layer whose pixels are not known may reach beyond its marks.
     margin_um = 0.3 * extent_um
     pixel_um = max(extent_um / 2000, 1e-6)
-    counts = np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1
+    size_um = high_um - low_um + 2 * margin_um
+    counts = np.ceil(size_um / pixel_um).astype(int) + 1
     cols, rows = counts.tolist()
     return Grid.regular((rows, cols), pixel_um, pair_of(low_um - margin_um))

@@ -27,12 +27,13 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     dy_um, dx_um = maps.pixel_um
     y0, x0 = maps.origin_um
     y, x = maps.dims
+    rows, cols = maps.shape
     header_lines = [
         f"{name}: {maps.titles[name]}",
         f"unit: {maps.units[name]}",
         f"pixel: {dx_um!r} um along {x}, {dy_um!r} um along {y}",
         f"middle of the first pixel: {x} = {x0!r} um, {y} = {y0!r} um",
-        f"{maps.shape[0]} rows, {maps.shape[1]} columns; missing: NaN",
+        f"{rows} rows, {cols} columns; missing: NaN",
         history.json(**maps.facts()),
     ]
     with path.open("w", encoding="utf-8", newline="\n") as file:
@@ -40,8 +41,8 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
         for _, band in maps.bands(name, np.float32):
             rows_at_once = max(1, TEXT_VALUES // band.shape[1])
             for start in range(0, len(band), rows_at_once):
-                rows = _texts(band[start : start + rows_at_once])
-                file.writelines("\t".join(row) + "\n" for row in rows)
+                table = _texts(band[start : start + rows_at_once])
+                file.writelines("\t".join(row) + "\n" for row in table)
 
 
 def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -69,32 +70,41 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
         blocks = _points(maps, names, point_um)
         last_columns = ["valid_share"]
     map_columns = [column_of(name, maps.units[name]) for name in names]
+    header = [f"{x}_um", f"{y}_um", *map_columns, *last_columns]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {history.json(**maps.facts(), rows=rows_text)}\n")
-        file.write(",".join([f"{x}_um", f"{y}_um", *map_columns, *last_columns]) + "\n")
+        file.write(",".join(header) + "\n")
         for block in blocks:
             file.writelines(",".join(row) + "\n" for row in _texts(block.T))
 
 
 def _pixels(maps: Maps, names: list[str]) -> Iterator[Floats]:
-    """Give the columns (x, y and every map; n) of the pixels that show anything, band by band."""
+    """Give the pixels that show anything, band by band.
+
+    Each band is (2 + maps, n): places along x and y in um, then the values of every map.
+    """
     y, x = maps.at_um
     rows, cols = maps.shape
     rows_at_once = max(1, TABLE_VALUES // (cols * len(names)))
-    property_indices = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
+    # ``valid`` has a value everywhere and is none to be shown, unless it is all that there is.
+    properties = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
     for start in range(0, rows, rows_at_once):
         rows_slice = slice(start, min(start + rows_at_once, rows))
         map_bands = [band_of(maps.data[name], rows_slice) for name in names]
         values = np.stack(map_bands).astype(np.float64)
-        has_value = np.isfinite(values[property_indices]).any(axis=0)
-        coords_um = np.stack(np.broadcast_arrays(x[None, :], y[rows_slice, None]))
+        has_value = np.isfinite(values[properties]).any(axis=0)
+        coords_um = np.stack(np.meshgrid(x, y[rows_slice]))
         yield np.concatenate([coords_um[:, has_value], values[:, has_value]])
 
 
 def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
-    """Give the columns (x, y, every map, share of valid pixels; n) of all points."""
-    pixel_um = maps.pixel_um
-    pixels_per_point = point_um / pixel_um[0], point_um / pixel_um[1]
+    """Give all points at once, (3 + maps, n).
+
+    Those are places along x and y in um, means of every map, and the share of valid pixels.
+    """
+    dy_um, dx_um = maps.pixel_um
+    pixels_per_point = (point_um / dy_um, point_um / dx_um)
+    # The share counts every valid pixel, a mean those of them that have a value.
     validity = AreaMeans(maps.shape, pixels_per_point, least_share=0.0)
     means = {name: AreaMeans(maps.shape, pixels_per_point, least_share=_LEAST) for name in names}
     for rows in bands(maps.shape[0]):
@@ -102,20 +112,22 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
         for name in names:
             band = band_of(maps.data[name], rows).astype(np.float64)
             map_bands[name] = summable(maps.data[name], band)
+        has_value = {name: np.isfinite(band) for name, band in map_bands.items()}
         if "valid" in maps.data:
             valid = band_of(maps.data["valid"], rows).astype(bool)
         else:
-            valid = np.any([np.isfinite(band) for band in map_bands.values()], axis=0)
-        validity.add(rows.start, np.ones(valid.shape, bool), valid.astype(np.float64))
+            valid = np.any([*has_value.values()], axis=0)
+        every_pixel = np.ones_like(valid)
+        validity.add(rows.start, every_pixel, valid.astype(np.float64))
         for name, area_means in means.items():
-            area_means.add(rows.start, valid & np.isfinite(map_bands[name]), map_bands[name])
+            area_means.add(rows.start, valid & has_value[name], map_bands[name])
     (shares,) = validity.means()
-    # A point begins at the border of the first pixel.
-    low_um = np.array(maps.origin_um) - 0.5 * np.array(pixel_um)
-    y, x = (
-        low + point_um * (np.arange(n) + 0.5) for low, n in zip(low_um, shares.shape, strict=True)
-    )
-    coords_um = np.broadcast_arrays(x[None, :], y[:, None])
+    n_rows, n_cols = shares.shape
+    # The first point begins at the border of the first pixel.
+    y0, x0 = maps.origin_um
+    y = y0 - 0.5 * dy_um + point_um * (np.arange(n_rows) + 0.5)
+    x = x0 - 0.5 * dx_um + point_um * (np.arange(n_cols) + 0.5)
+    coords_um = np.meshgrid(x, y)
     map_means = [area_means.means()[0] for area_means in means.values()]
     columns = np.stack([*coords_um, *map_means, shares])
     yield columns[:, shares >= _LEAST - 1e-9]
@@ -131,4 +143,6 @@ def _texts(values: NDArray[np.floating]) -> list[list[str]]:
 
 
 def _text(number: str) -> str:
-    return "NaN" if number == "nan" else number.removesuffix(".0")
+    if number == "nan":
+        return "NaN"
+    return number.removesuffix(".0")

@@ -20,7 +20,7 @@ import xarray as xr
 
 from planish.core.errors import ResourceError
 from planish.core.memory import STACK_BYTES
-from planish.core.typing import Array, DType, Entries, Shape
+from planish.core.typing import Array, DType, Entries, Shape, Shape2D
 from planish.exports.content import ExportHistory, Maps, exact, exact_pitch, volume_facts
 from planish.exports.formats import ExportParams
 
@@ -41,25 +41,27 @@ def write_imagej(
     stack = _Stack.of(content)
     stack_bytes = 4 * math.prod(stack.shape)
     if stack_bytes > MOST:
-        remedy_text = "or a folder for a file each" if len(stack.labels) > 1 else "or `to=ome-zarr`"
+        remedy_text = "or `to=ome-zarr`"
+        if len(stack.labels) > 1:
+            remedy_text = "or a folder for a file each"
         raise ResourceError(
             f"These values take {stack_bytes / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give "
             f"`to=ome-tiff`, {remedy_text}."
         )
-    metadata: Entries = {
-        "axes": stack.axes,
-        "unit": "um",
-        "Info": history.json(**stack.facts),
-    }
+    info = history.json(**stack.facts)
+    metadata: Entries = {"axes": stack.axes, "unit": "um", "Info": info}
     if isinstance(content, Maps):
-        metadata |= _limits(content) | {"Labels": stack.labels}
+        metadata |= _limits(content)
+        metadata["Labels"] = stack.labels
         if len(stack.labels) > 1:
             metadata["mode"] = "grayscale"
     else:
         metadata["spacing"] = stack.pixel_um[0]
-    # Along x and y, in pixels per um.
-    pixel_fractions = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
-    resolution = [(fraction.denominator, fraction.numerator) for fraction in pixel_fractions]
+    # Along x and y, in pixels per um: a fraction of two whole numbers.
+    resolution: list[Shape2D] = []
+    for pitch_um in stack.pixel_um[:-3:-1]:
+        pixel = Fraction(pitch_um).limit_denominator(10**6)
+        resolution.append((pixel.denominator, pixel.numerator))
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
 
 
@@ -71,9 +73,11 @@ def _limits(maps: Maps) -> Entries:
     for name in maps.names:
         scale = maps.scales[name]
         limits += [float(scale.low), float(scale.high)]
-    first = {"min": limits[0], "max": limits[1]}
+    metadata: Entries = {"min": limits[0], "max": limits[1]}
     # ImageJ takes the ranges of up to seven channels; of more, one for all.
-    return first | {"Ranges": limits} if len(limits) > 2 else first
+    if len(maps.names) > 1:
+        metadata["Ranges"] = limits
+    return metadata
 
 
 def write_ome(
@@ -92,15 +96,18 @@ def write_ome(
         "Description": description,
         "UUID": f"urn:uuid:{uuid.UUID(bytes=digest[:16], version=5)}",
     }
-    for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
-        metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
-    first_um = stack.origin_um
-    n_planes = stack.shape[0] if len(stack.shape) > 2 else 1
-    positions = {"PositionX": [first_um[-1]] * n_planes, "PositionY": [first_um[-2]] * n_planes}
+    for axis, pitch_um in zip("XYZ", stack.pixel_um[::-1], strict=False):
+        metadata[f"PhysicalSize{axis}"] = pitch_um
+        metadata[f"PhysicalSize{axis}Unit"] = "µm"
+    n_planes = math.prod(stack.shape[:-2])
+    # Each plane states the place of its first pixel.
+    *first_slice_um, first_row_um, first_col_um = stack.origin_um
+    positions = {"PositionX": [first_col_um] * n_planes, "PositionY": [first_row_um] * n_planes}
     if isinstance(content, Maps):
         metadata["Channel"] = {"Name": stack.labels}
     else:
-        positions["PositionZ"] = [first_um[0] + k * stack.pixel_um[0] for k in range(n_planes)]
+        slices_um = first_slice_um[0] + stack.pixel_um[0] * np.arange(n_planes)
+        positions["PositionZ"] = slices_um.tolist()
     metadata["Plane"] = positions | {f"{axis_key}Unit": ["µm"] * n_planes for axis_key in positions}
     stack.write(path, history, ome=True, metadata=metadata)
 
@@ -127,7 +134,9 @@ class _Stack:
     @classmethod
     def of(cls, content: Maps | xr.DataArray) -> _Stack:
         """Lay out the planes of maps or of a volume."""
-        return cls._of_maps(content) if isinstance(content, Maps) else cls._of_volume(content)
+        if isinstance(content, Maps):
+            return cls._of_maps(content)
+        return cls._of_volume(content)
 
     @classmethod
     def _of_maps(cls, maps: Maps) -> _Stack:
@@ -175,7 +184,10 @@ class _Stack:
         )
 
     def parts(self) -> Iterator[tuple[int, int, Array]]:
-        """Give plane, first row, and values (rows, cols) of each part."""
+        """Give the number of the plane, the first row there, and values (rows, cols) of each part.
+
+        A volume is read in slabs of rows through all its slices, as it is stored.
+        """
         if isinstance(self.content, Maps):
             for k, name in enumerate(self.content.names):
                 for rows, band in self.content.bands(name, self.dtype):
@@ -202,8 +214,11 @@ class _Stack:
         with tifffile.TiffFile(path) as file:
             data_offset = file.series[0].dataoffset
         assert data_offset is not None  # the planes are contiguous
-        row_bytes = self.shape[-1] * self.dtype.itemsize
+        *_, rows, cols = self.shape
+        row_bytes = cols * self.dtype.itemsize
         with path.open("rb+") as file:
             for plane, first_row, band in self.parts():
-                file.seek(data_offset + (plane * self.shape[-2] + first_row) * row_bytes)
-                file.write(np.ascontiguousarray(band, self.dtype.newbyteorder("<")).data)
+                n_rows_before = plane * rows + first_row
+                file.seek(data_offset + n_rows_before * row_bytes)
+                values = np.ascontiguousarray(band, self.dtype.newbyteorder("<"))
+                file.write(values.data)

@@ -90,22 +90,30 @@ def before_affine(transform: DirectedTransform) -> DisplacementField:
 def _sampled(
     transform: DirectedTransform, near: Callable[[Floats], Floats], factor: Floats
 ) -> DisplacementField:
-    """Sample ``factor @ (function - near)`` as coarsely as it may be."""
-    pixel_um = np.array(transform.grid.pixel_um[::-1])
-    size_um = np.array(transform.grid.shape[::-1]) * pixel_um
+    """Sample ``factor @ (function - near)`` as coarsely as it may be.
+
+    ``near`` takes points (..., 2), (x, y) in um, to places close to those that the transform takes
+    them to; ``factor`` (2, 2) turns what is left into the displacement that is stored. The pitch is
+    halved until the field is fine enough.
+    """
+    grid = transform.grid
+    pixel_um = np.array(grid.pixel_um[::-1])  # along x and y, as all that follows
+    size_um = np.array(grid.shape[::-1]) * pixel_um
     # Of the layer's longer side: the field reaches so far beyond it.
     margin_um = 0.1 * float(size_um.max())
-    low_um = np.array(transform.grid.origin_um) - 0.5 * pixel_um - margin_um
+    low_um = np.array(grid.origin_um) - 0.5 * pixel_um - margin_um
     length_um = size_um + 2 * margin_um
     high_um = low_um + length_um
     # At most so many pixels of the layer between nodes.
     pitch_um = 64 * float(np.sqrt(pixel_um.prod()))
 
     def nodes(node_shift: float, n_nodes: Ints) -> Floats:
+        """Places of nodes (rows, cols, 2), or with a shift of half a cell its middles."""
         steps = [np.arange(n - (node_shift > 0)) + node_shift for n in n_nodes]
         return low_um + pitch_um * grid_points(*steps)
 
     def offsets(points: Floats) -> tuple[Floats, Bools]:
+        """What is stored at points before ``factor``, and where the transform takes them at all."""
         images = transform.function(points)
         has_image = np.asarray(np.isfinite(images).all(axis=-1))
         images[~has_image] = transform.affine(points[~has_image])
@@ -115,6 +123,7 @@ def _sampled(
         n_nodes = np.ceil(length_um / pitch_um).astype(np.intp) + 1
         centres = nodes(0.5, n_nodes)
         vectors, has_image = offsets(nodes(0.0, n_nodes))
+        # In the middle of a cell the field is the mean of its corners; the transform may differ.
         sampled, is_inside = offsets(centres)
         interpolated = np.zeros_like(sampled)
         for corner in CORNERS:
@@ -122,8 +131,8 @@ def _sampled(
             is_inside &= has_image[corner]
         is_over_layer = (centres >= low_um + margin_um) & (centres <= high_um - margin_um)
         is_inside &= is_over_layer.all(axis=-1)
-        errors_um = np.linalg.norm(interpolated - sampled, axis=-1)[is_inside]
-        error_um = float(errors_um.max()) if errors_um.size else 0.0
+        errors_um = np.linalg.norm(interpolated - sampled, axis=-1)
+        error_um = float(errors_um[is_inside].max(initial=0.0))
         # In the middle between nodes it may err by so much. An affine map needs no finer grid.
         if error_um <= 1 / 400 * pixel_um.min() or 2 * vectors.size > 2_000_000:  # nodes
             break
@@ -134,7 +143,8 @@ def _sampled(
 
 UNITS = {"um": 1.0, "mm": 1e-3}
 _DIRECTION = (1, 0, 0, 1)  # of the axes, as a matrix row by row
-_FALSE, _TRUE = ["false"], ["true"]
+_FALSE = ["false"]
+_TRUE = ["true"]
 _NO_TRANSFORM = "NoInitialTransform"
 
 
@@ -148,9 +158,8 @@ def write_itk(
     """
     per_um = UNITS[params.unit]
     matrix_and_shift, center = _affine_parameters(transform, per_um)
-    transforms: list[tuple[str, Iterable[float], Iterable[float]]] = [
-        ("AffineTransform_double_2_2", matrix_and_shift, center)
-    ]
+    affine_lines = _itk_transform("AffineTransform", matrix_and_shift, center)
+    lines = ["#Transform 0", *affine_lines]
     field_facts: dict[str, float] = {}
     if not transform.exact:
         field = before_affine(transform)
@@ -159,17 +168,22 @@ def write_itk(
         places = [per_um * um for um in (*field.origin_um, field.pitch_um, field.pitch_um)]
         geometry = [cols, rows, *places, *_DIRECTION]
         vectors = (field.vectors * per_um).ravel()
-        field_part = ("DisplacementFieldTransform_double_2_2", vectors, geometry)
-        transforms = [("CompositeTransform_double_2_2", [], []), *transforms, field_part]
-    lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**field_facts)}"]
-    for k, (class_name, *number_lists) in enumerate(transforms):
-        lines += [f"#Transform {k}", f"Transform: {class_name}"]
-        if not class_name.startswith("Composite"):
-            for keyword, values in zip(
-                ("Parameters", "FixedParameters"), number_lists, strict=True
-            ):
-                lines.append(" ".join([f"{keyword}:", *(f"{float(v):.12g}" for v in values)]))
-    _write_lines(path, lines)
+        lines = ["#Transform 0", "Transform: CompositeTransform_double_2_2"]
+        lines += ["#Transform 1", *affine_lines]
+        lines += ["#Transform 2", *_itk_transform("DisplacementFieldTransform", vectors, geometry)]
+    title = f"#{transform.name}: {history.json(**field_facts)}"
+    _write_lines(path, ["#Insight Transform File V1.0", title, *lines])
+
+
+def _itk_transform(
+    class_name: str, parameters: Iterable[float], fixed_parameters: Iterable[float]
+) -> list[str]:
+    """Lines of a transform in two dimensions with its numbers."""
+    lines = [f"Transform: {class_name}_double_2_2"]
+    for keyword, values in (("Parameters", parameters), ("FixedParameters", fixed_parameters)):
+        numbers = [f"{float(v):.12g}" for v in values]
+        lines.append(" ".join([f"{keyword}:", *numbers]))
+    return lines
 
 
 def write_elastix(
@@ -233,17 +247,19 @@ def write_zarr(
 ) -> None:
     """Write a group for each direction: ``displacement_x`` and ``displacement_y`` (y, x) in um."""
     root = zarr.open_group(path, mode="w-", zarr_format=3)
-    root.attrs.update(
-        {"format": "planish displacement 1", "model": pair.model, "history": history.json()}
-    )
+    root.attrs["format"] = "planish displacement 1"
+    root.attrs["model"] = pair.model
+    root.attrs["history"] = history.json()
     for transform in (pair.forward, pair.back):
-        source, target = transform.source, transform.target
+        source = transform.source
+        target = transform.target
         field = displacement(transform)
         group = root.create_group(transform.name)
         group.attrs.update({"source": source, "target": target} | field.facts())
-        arrays: dict[str, tuple[Any, Texts, str]] = {}
-        for k, axis in ((1, "y"), (0, "x")):
-            coords_um = field.origin_um[k] + field.pitch_um * np.arange(field.shape[1 - k])
+        arrays: dict[str, tuple[Any, Texts, str]] = {}  # values, dims and name in words
+        for k, axis in ((1, "y"), (0, "x")):  # vectors and places are (x, y), the field is (y, x)
+            steps = np.arange(field.shape[1 - k])
+            coords_um = field.origin_um[k] + field.pitch_um * steps
             arrays[axis] = (coords_um, (axis,), f"{axis} of {source}")
         for k, axis in enumerate("xy"):
             long_name = f"{axis} of {target} minus {axis} of {source}"
@@ -268,16 +284,19 @@ def _affine_parameters(
 ) -> tuple[list[float], list[float]]:
     """Matrix and shift of the affine map, and the point around which it turns.
 
-    ``scale`` turns um into its unit.
+    The matrix stands row by row; shift and point are (x, y) in the unit of the other program,
+    ``per_um`` of which make a um.
     """
     affine = transform.affine
     source, target = np.array([affine.source, affine.target]) * per_um
-    return [*affine.matrix().ravel(), *(target - source)], list(source)
+    matrix_and_shift: list[float] = [*affine.matrix().ravel(), *(target - source)]
+    return matrix_and_shift, list(source)
 
 
 def _elastix_parameters(
     class_name: str, parameters: Sequence[float] | np.ndarray, first_file: str
 ) -> dict[str, Sequence[object]]:
+    """What every transform of elastix states; it is applied after that of ``first_file``."""
     return {
         "Transform": [class_name],
         "NumberOfParameters": [len(parameters)],
@@ -321,7 +340,8 @@ def write_nrrd(
         shape = field.shape
         x, y = field.origin_um
         dx_um = dy_um = field.pitch_um
-        key_values = {"value_unit": unit, "planish": history.json(**field.facts())}
+        value_unit = unit
+        note = history.json(**field.facts())
         blocks: Iterable[Array] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
@@ -331,10 +351,14 @@ def write_nrrd(
         shape = content.shape
         y, x = content.origin_um
         dy_um, dx_um = content.pixel_um
-        key_values = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
+        value_unit = content.units[name]
+        note = history.json(**content.facts())
         blocks = (band for _, band in content.bands(name))
-    x, y, dx_um, dy_um = (f"{v * UNITS[unit]:.12g}" for v in (x, y, dx_um, dy_um))
-    axis_sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
+    per_um = UNITS[unit]
+    x, y, dx, dy = (f"{um * per_um:.12g}" for um in (x, y, dx_um, dy_um))
+    rows, cols = shape
+    # The axis that runs fastest comes first: x and y of a vector, then columns, then rows.
+    axis_sizes = [*("2" for _ in components), str(cols), str(rows)]
     nrrd_type = {"float32": "float", "float64": "double"}.get(dtype.name, dtype.name)
     header_lines = [
         "NRRD0005",
@@ -343,13 +367,14 @@ def write_nrrd(
         f"dimension: {len(axis_sizes)}",
         "space dimension: 2",
         f"sizes: {' '.join(axis_sizes)}",
-        f"space directions: {'none ' * len(components)}({dx_um},0) (0,{dy_um})",
+        f"space directions: {'none ' * len(components)}({dx},0) (0,{dy})",
         f"kinds: {' '.join([*components, 'domain', 'domain'])}",
         "endian: little",
         "encoding: raw",
         f'space units: "{unit}" "{unit}"',
         f"space origin: ({x},{y})",
-        *(f"{key}:={text}" for key, text in key_values.items()),
+        f"value_unit:={value_unit}",
+        f"planish:={note}",
     ]
     with path.open("wb") as file:
         file.write(("\n".join(header_lines) + "\n\n").encode())

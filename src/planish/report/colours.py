@@ -21,14 +21,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-PROPERTY, GEOMETRY, SIGNED, CYCLIC, GREYS, ERROR = (
-    "viridis",
-    "cividis",
-    "RdBu_r",
-    "twilight",
-    "grey",
-    "magma",
-)
+PROPERTY = "viridis"
+GEOMETRY = "cividis"
+SIGNED = "RdBu_r"
+CYCLIC = "twilight"
+GREYS = "grey"
+ERROR = "magma"
 MISSING = "#d4d6d8"
 _ANCHORS = {
     PROPERTY: (
@@ -111,22 +109,26 @@ def limits(
     if data.size == 0:
         return Scale(0.0, 1.0, colours)
     if symmetric:
-        high = float(np.percentile(np.abs(data), 100 - percent)) or 1.0
+        high = float(np.percentile(np.abs(data), 100 - percent)) or 1.0  # where all are 0
         return Scale(-high, high, colours)
-    bottom, top = map(float, np.percentile(data, [percent, 100 - percent]))
-    if top - bottom <= 1e-9 * max(abs(bottom), abs(top), 1e-300):
-        bottom, top = bottom - 0.5, top + 0.5
+    bottom, top = np.percentile(data, [percent, 100 - percent]).tolist()
+    if top - bottom <= 1e-9 * max(abs(bottom), abs(top), 1e-300):  # all values are the same
+        bottom -= 0.5
+        top += 0.5
     if low is None:
         return Scale(bottom, top, colours)
-    return Scale(low, max(top, low + 1e-12), colours)
+    highest = max(top, low + 1e-12)
+    return Scale(low, highest, colours)
 
 
 def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
-    """Return the colours of a map."""
+    """Return the colours of a map; of an angle of fibres always the same, of others by values."""
     # An angle of fibres begins again at 180 degrees, and so must its colours.
     if is_axial(data):
         return Scale(-90.0, 90.0, CYCLIC)
-    return limits(limit_values, GREYS if data.name == "image" else PROPERTY)
+    if data.name == "image":
+        return limits(limit_values, GREYS)
+    return limits(limit_values)
 
 
 def partner_of(name: str, map_names: Sequence[str]) -> str | None:
@@ -157,15 +159,18 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
     palette = np.vstack([colours_in_steps(scale.colours), _rgb(missing[1:])])
     shades = scale.shades(values)
     # Of many pixels, a JPEG is a fraction of a PNG.
-    kind = "PNG" if shades.size <= 250_000 else "JPEG"
+    kind = "png"
     data = io.BytesIO()
-    if kind == "PNG":
+    if shades.size <= 250_000:
         image = Image.fromarray(shades)
         image.putpalette(palette.tobytes())
         image.save(data, format=kind)
     else:
-        Image.fromarray(palette[shades]).save(data, format=kind, quality=88, subsampling=0)
-    return f"data:image/{kind.lower()};base64,{base64.b64encode(data.getvalue()).decode('ascii')}"
+        kind = "jpeg"
+        image = Image.fromarray(palette[shades])
+        image.save(data, format=kind, quality=88, subsampling=0)
+    encoded = base64.b64encode(data.getvalue()).decode("ascii")
+    return f"data:image/{kind};base64,{encoded}"
 
 
 @cache

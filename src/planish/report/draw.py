@@ -26,19 +26,31 @@ Box = tuple[float, float, float, float]  # left edge, upper edge, width and heig
 Ticks = Sequence[tuple[float, str]]  # values at which an axis is numbered, and their texts
 # Left, right, bottom and top in um, or in the units of a plot.
 Extent = tuple[float, float, float, float]
-FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
+# CSS pixels: the page's column, half and a third of it
+FULL = 1040.0
+HALF = 510.0
+THIRD = 333.0
 BESIDE = 86.0  # to the right of a map on half a page: its colour bar
-MARGIN, BELOW = 44.0, 18.0  # to the left of a map and below it: the numbers of its axes
-INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
-ACCENT, POINT = "#b3402a", "#2f6690"
+# To the left of a map and below it: the numbers of its axes
+MARGIN = 44.0
+BELOW = 18.0
+# Greys of texts and lines, and the two colours of what is plotted
+INK = "#22292f"
+SOFT = "#66707a"
+FAINT = "#c9ced3"
+ACCENT = "#b3402a"
+POINT = "#2f6690"
 _COLOURS = (POINT, ACCENT, "#4a7c3f", "#8a6d1f", "#6b4c8f", "#3a8f8f", "#8f3a6b", SOFT)
 LINE_PX = 17.0  # of their names, one below the other
-SMALL, BIG = 11.0, 12.0  # font sizes
+# Font sizes
+SMALL = 11.0
+BIG = 12.0
 _FONTS = (
     "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
 )
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
-_ROWS_TOP, _ROW = 14.0, 30.0  # above the first of named rows; of one
+_ROWS_TOP = 14.0  # above the first of named rows
+_ROW = 30.0  # height of one
 LETTER_PX = 6.3  # of the name of a row
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
@@ -153,10 +165,11 @@ class Axes:
         return f"<svg {position} {size}>{parts}</svg>"
 
     def place(self, points: ArrayLike) -> Array:
-        """Return points (n, 2) in pixels of the axes."""
-        x0, x1, y0, y1 = self.extent
+        """Return points (n, 2), (x, y) in units of the extent, in pixels from the upper left."""
+        left, right, bottom, top = self.extent
         data = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        return (data - (x0, y1)) / (x1 - x0, y0 - y1) * (self.width, self.height)
+        shares = (data - (left, top)) / (right - left, bottom - top)
+        return shares * (self.width, self.height)
 
     def image(self, shown: ShownMap, scale: Scale, *, missing: str = MISSING) -> None:
         """Draw a map within a thin frame; what is missing is neutral grey.
@@ -204,7 +217,8 @@ class Axes:
         if len(points) > 1:
             lower = points[:, [0, 1]]
             upper = points[:, [0, 2]]
-            self.area(np.concatenate([lower, upper[::-1]]), colour=POINT, opacity=0.2)
+            outline = np.concatenate([lower, upper[::-1]])
+            self.area(outline, colour=POINT, opacity=0.2)
 
     def dots(
         self,
@@ -217,7 +231,10 @@ class Axes:
         halo: str = "",
         is_open: bool = False,
     ) -> None:
-        """Draw round dots, as :meth:`line` takes their places; open ones are white inside."""
+        """Draw round dots, as :meth:`line` takes their places; open ones are white inside.
+
+        A dot is a line of no length with round ends, whose width is its ``size`` in pixels.
+        """
         pixels = self.place(_pairs(x, y))
         pixels = pixels[np.isfinite(pixels).all(axis=1)]
         path_data = "".join(f"M{_n(x_px)} {_n(y_px)}h0" for x_px, y_px in pixels)
@@ -272,13 +289,15 @@ class Axes:
 
         Both are (n, 2), in the units of the data.
         """
-        shafts, heads = "", ""
+        shafts = ""
+        heads = ""
         ends = self.place(np.asarray(points) + np.asarray(vectors))
         for (x, y), (u, v) in zip(self.place(points), ends, strict=True):
             length_px = math.hypot(u - x, v - y)
-            if not length_px > 0.3:
+            if not length_px > 0.3:  # too short to be seen, or missing
                 continue
             head_share = min(4.5 * width, 0.6 * length_px) / length_px
+            # The head along the arrow, in pixels to the right and down; the shaft ends within it.
             c = (u - x) * head_share
             s = (v - y) * head_share
             shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
@@ -294,7 +313,7 @@ class Axes:
     def contours(self, levels: Array, *, labels: bool = False, avoided: ArrayLike = ()) -> None:
         """Draw contour lines of the map in white.
 
-        On request with their values, away from some places.
+        On request with their values, away from places ``avoided`` (n, 2) in um and from each other.
         """
         from contourpy import LineType, contour_generator
 
@@ -308,33 +327,42 @@ class Axes:
         masked = np.ma.masked_invalid(values)
         generator = contour_generator(x_um, y_um, masked, line_type=LineType.Separate)
         label_pixels = self.place(avoided)
-        line_width, opacity = (1.4, 0.9) if labels else (0.8, 0.7)
-        for level in levels[(levels > masked.min()) & (levels < masked.max())]:
+        line_width = 0.8
+        opacity = 0.7
+        if labels:
+            line_width = 1.4
+            opacity = 0.9
+        is_crossed = (levels > masked.min()) & (levels < masked.max())
+        for level in levels[is_crossed]:
             lines: Any = generator.lines(level)
             path = "".join(map(_path, map(self.place, lines)))
             self._stroke(path, "white", line_width, opacity=opacity)
             if labels and lines:
+                # The longest line of a level has the value, where it is farthest from others.
                 line = max(lines, key=len)
                 k = self._emptiest(self.place(line), label_pixels)
                 label_pixels = np.vstack([label_pixels, self.place(line[k])])
-                style: Entries = {"size": SMALL, "anchor": "middle", "halo": INK}
-                x, y = line[k]
-                self.text(x, y, f"{level:g}", shift=(0, 4), colour="white", **style)
+                style: Entries = {"size": SMALL, "anchor": "middle", "colour": "white", "halo": INK}
+                self.text(*line[k], f"{level:g}", shift=(0, 4), **style)
 
     def _emptiest(self, pixels: Array, label_pixels: Array) -> int:
         """Which of some places is farthest from the border and from labels."""
         size_px = (self.width, self.height)
         border_px = np.min([pixels, size_px - pixels], axis=(0, 2))
         labels_px = [np.hypot(*(pixels - label).T) for label in label_pixels]
-        return int(np.argmax(np.min([border_px, *labels_px], axis=0)))
+        nearest_px = np.min([border_px, *labels_px], axis=0)
+        return int(np.argmax(nearest_px))
 
     def outline(self, inside: xr.DataArray, *, colour: str, width: float) -> None:
         """Draw the border of a region (y, x) along the edges of its pixels."""
         y, x = axes_of(inside)
         padded = np.pad(inside.values, 1)
-        corners = np.concatenate([_edges(padded), _edges(padded.T)[:, ::-1]]) - 0.5
+        borders_across = _edges(padded)
+        borders_down = _edges(padded.T)[:, ::-1]  # (y, x) turned into (x, y)
+        # In pixels of the map, whose first middle is 0: corner k lies before pixel k.
+        corners = np.concatenate([borders_across, borders_down]) - 0.5
         corners_um = corners * (pitch(x), pitch(y)) + (x[0], y[0])
-        lines = self.place(corners_um).reshape(-1, 4)
+        lines = self.place(corners_um).reshape(-1, 4)  # both ends of each border
         path_data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in lines)
         if path_data:
             self._stroke(path_data, colour, width, cap="square")
@@ -385,20 +413,26 @@ class Canvas(Axes):
         colour: str = INK,
         label: str = "{}",
     ) -> None:
-        """Draw a round length below axes that show ``um`` on so many pixels."""
+        """Draw a round length below axes that show ``um`` on ``width`` pixels.
+
+        It takes at most ``max_share`` of them; its length in words stands in place of the braces of
+        ``label``.
+        """
         bar_um = round_step(max_share * um)
+        bar_text = label.format(plain(bar_um))
         end = x + bar_um / um * width
         self.line((x, end), y + 10, colour=colour, width=3)
-        self.text(end + 7, y + 14, label.format(plain(bar_um)), size=SMALL)
+        self.text(end + 7, y + 14, bar_text, size=SMALL)
 
     def colour_bar(
         self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False
     ) -> None:
         """Draw the colours of a scale with their values.
 
-        Upwards, or to the right where it is wider than high.
+        Upwards, or to the right where it is wider than high. ``log``: values are powers of ten.
         """
-        low, high = scale.low, scale.high
+        low = scale.low
+        high = scale.high
         is_across = width > height
         shades = np.linspace(low, high, 128)[None]
         max_count = width / 58
@@ -426,32 +460,41 @@ class Canvas(Axes):
 
         ``log``: y in powers of ten; ``x_ticks``: places, texts.
         """
-        x0, x1, y0, y1 = axes.extent
+        x_min, x_max, y_min, y_max = axes.extent
         left_px = axes.x
-        bottom = axes.y + axes.height
-        self.line((left_px, left_px, left_px + axes.width), (axes.y, bottom, bottom))
-        y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
+        right_px = left_px + axes.width
+        bottom_px = axes.y + axes.height
+        self.line((left_px, left_px, right_px), (axes.y, bottom_px, bottom_px))
+        y_ticks = _ticks(y_min, y_max, max_count=axes.height / 44, log=log)
         if x_ticks is None:
-            x_ticks = _ticks(x0, x1, max_count=axes.width / 62)
+            x_ticks = _ticks(x_min, x_max, max_count=axes.width / 62)
         self.number_axes(axes, x_ticks, y_ticks)
-        self.text(left_px + axes.width / 2, bottom + 36, x_label, anchor="middle")
+        self.text(left_px + axes.width / 2, bottom_px + 36, x_label, anchor="middle")
+        # The label of y stands beside the longest number.
         label_length = max((len(text) for _, text in y_ticks), default=0)
-        x = left_px - 18 - 6.4 * label_length
-        self.text(x, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
+        x_px = left_px - 18 - 6.4 * label_length
+        middle_px = axes.y + axes.height / 2
+        self.text(x_px, middle_px, y_label, anchor="middle", upwards=True)
 
     def number_axes(self, axes: Axes, x_ticks: Ticks, y_ticks: Ticks) -> None:
         """Draw ticks with their numbers below axes and to the left of them."""
         x_min, _, y_min, _ = axes.extent
+        bottom_px = axes.y + axes.height
         for value, label in x_ticks:
             x_px, _ = axes.place((value, y_min))[0]
-            self._tick(axes.x + x_px, axes.y + axes.height, 0, 1, label)
+            self._tick(axes.x + x_px, bottom_px, 0, 1, label)
         for value, label in y_ticks:
             _, y_px = axes.place((x_min, value))[0]
             self._tick(axes.x, axes.y + y_px, -1, 0, label)
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
+        """Draw a tick from a place of the figure in pixels, and a number behind it.
+
+        It runs downwards (``right``, ``down`` are 0, 1), to the right (1, 0) or to the left (-1,
+        0).
+        """
         self.line((x, x + 3 * right), (y, y + 3 * down))
-        half_px = 3.1 * len(text)
+        half_px = 3.1 * len(text)  # of the number's width
         # A long number at the end of an axis stays within the figure, and is smaller where its
         # margin is too narrow.
         if down:
@@ -460,7 +503,9 @@ class Canvas(Axes):
         else:
             anchor = "start" if right > 0 else "end"
             x_px = x + 6 * right
-        room_px = x_px if right < 0 else self.width
+        room_px = self.width
+        if right < 0:
+            room_px = x_px
         size = min(SMALL, SMALL * room_px / (2 * half_px))
         self.text(x_px, y + 4 + 12 * down, text, size=size, anchor=anchor)
 
@@ -480,9 +525,12 @@ class Canvas(Axes):
         """
         axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
-        x0, x1, *y_ends = shown.extent
-        x_ticks = _ticks(x0, x1, max_count=box[0] / 62)
-        y_ticks = _ticks(*sorted(y_ends), max_count=box[1] / 44) if has_y_ticks else []
+        width, height = box
+        x_min, x_max, *y_ends = shown.extent
+        x_ticks = _ticks(x_min, x_max, max_count=width / 62)
+        y_ticks: Ticks = []
+        if has_y_ticks:
+            y_ticks = _ticks(*sorted(y_ends), max_count=height / 44)
         self.number_axes(axes, x_ticks, y_ticks)
         return axes
 
@@ -512,14 +560,14 @@ class Canvas(Axes):
 
         With a colour bar where there is a label.
         """
-        x, y = x + MARGIN, y + _TOP
-        axes = self.map_axes(x, y, box, shown, scale)
+        axes = self.map_axes(x + MARGIN, y + _TOP, box, shown, scale)
         self.draw_scale_row(axes, 3)
         if label:
-            right = x + box[0]
+            right = axes.x + axes.width
             height = panel_height(box, label)
-            self.colour_bar(right + 11, y, 12, height, scale)
-            self.text(right + BESIDE - 5, y + height / 2, label, anchor="middle", upwards=True)
+            middle = axes.y + height / 2
+            self.colour_bar(right + 11, axes.y, 12, height, scale)
+            self.text(right + BESIDE - 5, middle, label, anchor="middle", upwards=True)
         return axes
 
     def name_curves(self, titles: Iterable[str], colours: Iterable[str], xy: Pair) -> None:
@@ -559,7 +607,8 @@ def row_axes(
         canvas.text(left - 8, _ROWS_TOP + _ROW * (row + 0.5) + 4, name, anchor="end")
     canvas.line((left, right), bottom)
     ticks = multiples(low, high, round_step((high - low) / 4))
-    canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
+    numbers = [f"{value + 0.0:.6g}".replace("-", "−") for value in ticks]  # 0.0: no minus zero
+    canvas.number_axes(axes, list(zip(ticks, numbers, strict=True)), [])
     canvas.text((left + right) / 2, bottom + 38, label, anchor="middle")
     return canvas, axes
 
@@ -572,14 +621,16 @@ def reduced(data: xr.DataArray, *, width: float) -> ShownMap:
     values = data.values.astype(np.float64)
     rows, cols = axes_of(data)
     steps = np.array([pitch(rows), pitch(cols)])
-    # Pixels of an image in one CSS pixel.
-    pixel_um = max(values.shape[1] * steps[1] / (width * 1.35), 1e-12)
+    width_um = cols.size * steps[1]
+    # 1.35 pixels of an image in one CSS pixel.
+    pixel_um = max(width_um / (width * 1.35), 1e-12)
     factor = np.maximum(1.0, pixel_um / np.abs(steps))
     if factor.max() > 1:
         values = area_mean(summable(data, values), tuple(factor))
-    y, x = (rows[0], cols[0]) - steps / 2
+    top, left = (rows[0], cols[0]) - steps / 2
     down, across = values.shape * factor * steps
-    return ShownMap(values, (float(x), float(x + across), float(y + down), float(y)))
+    extent = (float(left), float(left + across), float(top + down), float(top))
+    return ShownMap(values, extent)
 
 
 def axes_of(data: xr.DataArray) -> list[Array]:
@@ -596,9 +647,13 @@ def draw_map(
     """
     map_px = width - MARGIN - BESIDE
     shown = reduced(data, width=map_px)
-    box = shown.fit(map_px, 480.0 if width <= HALF else 640.0)
+    highest_px = 480.0
+    if width > HALF:
+        highest_px = 640.0
+    box = shown.fit(map_px, highest_px)
     canvas = Canvas(width, panel_height(box, label) + _TOP + BELOW + 26)
-    return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
+    axes = canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
+    return canvas, axes
 
 
 def panel_height(box: Pair, label: str) -> float:
@@ -606,7 +661,10 @@ def panel_height(box: Pair, label: str) -> float:
 
     A colour bar needs room for its numbers.
     """
-    return max(box[1], _LOWEST_BAR if label else 0.0)
+    _, height = box
+    if label:
+        height = max(height, _LOWEST_BAR)
+    return height
 
 
 class Magnified(NamedTuple):
@@ -618,12 +676,21 @@ class Magnified(NamedTuple):
 
 
 def magnified(vectors: Array, length_um: float) -> Magnified:
-    """Return the round factor that makes the longest of some vectors (n, 2) at most so long."""
+    """Return the round factor that makes the longest of some vectors (n, 2) at most so long.
+
+    All lengths are in um; missing vectors are NaN.
+    """
     lengths = np.hypot(*vectors.T)
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
-    times = round_step(length_um / longest) if longest > 1e-9 else 1.0
-    factor = count(round(times)) if times >= 1 else f"{times:g}"
-    size = "in true size" if times == 1 else f"magnified {factor} times"
+    times = 1.0
+    if longest > 1e-9:
+        times = round_step(length_um / longest)
+    factor = f"{times:g}"
+    if times >= 1:
+        factor = count(round(times))
+    size = f"magnified {factor} times"
+    if times == 1:
+        size = "in true size"
     return Magnified(times, longest, f"{size}; the longest is {length(longest, 2)}")
 
 
@@ -638,7 +705,9 @@ def with_margin(values: Sequence[float], least: float = 0.1) -> Pair:
 def pitch(coordinates: Array) -> float:
     """Return the step of a regular axis; 1 for a single point."""
     steps = len(coordinates) - 1
-    return float(coordinates[-1] - coordinates[0]) / steps if steps else 1.0
+    if not steps:
+        return 1.0
+    return float(coordinates[-1] - coordinates[0]) / steps
 
 
 def pixel_of(*axes: Array) -> str:
@@ -672,15 +741,17 @@ def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float
 def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> Ticks:
     """Return the places of ticks and what is written there.
 
-    ``log``: the places are powers of ten.
+    ``log``: the places are exponents of ten, at whole ones of which the power is written.
     """
     if log:
         powers = multiples(low, high, 1.0)
         stride = max(1, math.ceil(len(powers) / 6))
         return [(float(k), f"{10.0**k:g}") for k in powers[::stride]]
-    step = round_step((high - low) / max(int(max_count), 2), above=True)
+    n_steps = max(int(max_count), 2)
+    step = round_step((high - low) / n_steps, above=True)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [(value, fixed(value, decimals)) for value in multiples(low, high, step).tolist()]
+    values = multiples(low, high, step).tolist()
+    return [(value, fixed(value, decimals)) for value in values]
 
 
 def _n(value: float) -> str:
@@ -692,33 +763,45 @@ def _pairs(x: ArrayLike, y: ArrayLike) -> Array:
 
 
 def _edges(inside: Bools) -> Ints:
-    """Return the ends (x, y) of the borders between rows of pixels, two for each border."""
+    """Return the ends (x, y) of the borders between rows of pixels (y, x), two for each border.
+
+    They count pixels of ``inside``, whose outermost ones are all False.
+    """
     is_edge = np.diff(inside, axis=0)
     ends = np.diff(is_edge.astype(np.int8), axis=1)
     line, start = np.nonzero(ends == 1)
-    stop = np.nonzero(ends == -1)[1]
-    return np.stack([start, line, stop, line], axis=1).reshape(-1, 2)
+    _, stop = np.nonzero(ends == -1)
+    borders = np.stack([start, line, stop, line], axis=1)
+    return borders.reshape(-1, 2)
 
 
 def _path(points: Array) -> str:
-    """Return a line through points in pixels as path data; NaN interrupts it."""
+    """Return a line through points (n, 2) in pixels as path data; NaN interrupts it.
+
+    Each stretch is a place and steps from there, in tenths of a pixel; steps of 0 are left out.
+    """
     tenths = np.rint(10 * points)
     is_finite = np.isfinite(tenths).all(axis=1)
     path_data = ""
-    for run in np.split(tenths, np.flatnonzero(np.diff(is_finite)) + 1):
+    stretch_starts = np.flatnonzero(np.diff(is_finite)) + 1
+    for run in np.split(tenths, stretch_starts):
         if not np.isfinite(run).all():
             continue
         steps = np.diff(run, axis=0)
         steps = steps[np.any(steps != 0, axis=1)]
         if len(steps):  # none of a line that is shorter than a tenth of a pixel
             x, y = run[0] / 10
-            path_data += f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()])
+            numbers = [f"{v:g}" for v in (steps / 10).ravel()]
+            path_data += f"M{x:g} {y:g}l" + " ".join(numbers)
     return path_data
 
 
 def _image(box: Box, values: Array, scale: Scale, missing: str = MISSING) -> str:
+    """Return a map (rows, cols) as an image of the figure; coarse pixels have sharp edges."""
     x, y, width, height = map(_n, box)
-    coarse = ' style="image-rendering:pixelated"' if values.shape[1] < box[2] else ""
+    coarse = ""
+    if values.shape[1] < box[2]:
+        coarse = ' style="image-rendering:pixelated"'
     return (
         f'<image x="{x}" y="{y}" width="{width}" height="{height}"'
         f' preserveAspectRatio="none"{coarse} href="{image_uri(values, scale, missing=missing)}"/>'
