@@ -343,7 +343,8 @@ class Axes:
                 k = self._emptiest(self.place(line), label_pixels)
                 label_pixels = np.vstack([label_pixels, self.place(line[k])])
                 style: Entries = {"size": SMALL, "anchor": "middle", "colour": "white", "halo": INK}
-                self.text(*line[k], f"{level:g}", shift=(0, 4), **style)
+                x, y = line[k]
+                self.text(x, y, f"{level:g}", shift=(0, 4), **style)
 
     def _emptiest(self, pixels: Array, label_pixels: Array) -> int:
         """Which of some places is farthest from the border and from labels."""

@@ -30,6 +30,7 @@ from planish.report.draw import (
     pixel_of,
     reduced,
 )
+from planish.report.slices import top_sign
 
 
 def draw_flattening(
@@ -38,6 +39,7 @@ def draw_flattening(
     """Draw the warp, what flattening moved and strained, and whether the surface can be paper."""
     strain = strain.swap_dims(row="y", col="x")
     pictures = [_draw_warp(surfaces, flat), _draw_displacement(flat), _draw_strain(strain, flat)]
+    # The strain of a patch is known where the sheet is large enough for one.
     needed_percent = 100 * _from_top(strain["needed_strain"], flat)
     if np.isfinite(needed_percent).any():
         scale = limits(needed_percent, GEOMETRY, percent=0.1, low=0.0)
@@ -54,15 +56,17 @@ def draw_flattening(
 
 
 def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> Picture:
-    sign = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
-    heights = sign * _from_top(surfaces["centre"], flat)
+    """Draw the height of the centre surface, upwards where the top side is."""
+    heights = top_sign(surfaces) * _from_top(surfaces["centre"], flat)
     heights = heights - np.nanmedian(heights)
     scale = limits(heights, GEOMETRY, percent=0.1)
     canvas, axes = draw_map(heights, scale=scale, label="height above the median / µm")
     low, high = np.nanpercentile(heights, [0.1, 99.9])
     levels, step = levels_between(float(low), float(high), steps=6)
     axes.contours(levels)
-    contour_text = f"Contour lines every {plain(step)}. " if levels.size else ""
+    contour_text = ""
+    if levels.size:
+        contour_text = f"Contour lines every {plain(step)}. "
     caption = (
         f"Seen from the top side. {contour_text}n = {n_of(heights)} columns of"
         f" {pixel_of(*axes_of(heights))}; mask: columns with a sheet or a bridged hole, largest"
@@ -85,11 +89,11 @@ def _draw_displacement(flat: xr.Dataset) -> Picture:
     rows, cols = (np.arange(arrow_stride // 2, n, arrow_stride) for n in displacement.shape)
     if _is_mirrored(flat):
         cols = x.size - 1 - cols
-    starts = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1).reshape(-1, 2)
-    arrow_um = 1.6 * arrow_stride * max(pitch(x), pitch(y))
+    starts = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1)
+    arrow_um = 1.6 * arrow_stride * max(pitch(x), pitch(y))  # length of the longest on the figure
     magnification = magnified(vectors.reshape(-1, 2), arrow_um)
-    arrows = magnification.times * vectors[np.ix_(rows, cols)].reshape(-1, 2)
-    axes.arrows(starts, arrows, colour="white", width=1.3, halo=INK)
+    arrows = magnification.times * vectors[np.ix_(rows, cols)]
+    axes.arrows(starts.reshape(-1, 2), arrows.reshape(-1, 2), colour="white", width=1.3, halo=INK)
     caption = (
         "From the place in the projection to the place in the flat sheet, seen from the top"
         f" side. Arrows are {magnification.words}. n = {n_of(displacement)} columns of"
@@ -103,10 +107,13 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
 
     Change of area, shear, and the largest stretch.
     """
-    stretches = [np.abs(strain[f"stretch_{extreme}"] - 1) for extreme in ("max", "min")]
     area_change = 100 * (strain["area_ratio"] - 1)
-    largest_strain = 100 * xr.apply_ufunc(np.maximum, *stretches)
-    shear = 100 * strain["shear"] * (-1 if _is_mirrored(flat) else 1)
+    largest_stretch = np.abs(strain["stretch_max"] - 1)
+    smallest_stretch = np.abs(strain["stretch_min"] - 1)
+    largest_strain = 100 * xr.apply_ufunc(np.maximum, largest_stretch, smallest_stretch)
+    shear = 100 * strain["shear"]
+    if _is_mirrored(flat):  # the angle between rows and columns opens the other way
+        shear = -shear
     gap_px = 25.0
     panel_px = (FULL - 2 * gap_px - MARGIN - 6) / 3
     area_map = reduced(area_change, width=panel_px)
@@ -118,12 +125,14 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
         ("Shear", shear, limits(shear, SIGNED, symmetric=True)),
         ("Largest strain, either sign", largest_strain, limits(largest_strain, GEOMETRY, low=0.0)),
     )
+    bar_px = max(width - 32, 190)
     left_px = MARGIN
     for name, data, scale in panels:
         shown = reduced(_from_top(data, flat), width=panel_px)
+        is_first = left_px == MARGIN
         canvas.text(left_px, 18, f"{name} / %", bold=True)
-        canvas.map_axes(left_px, 26, map_size, shown, scale, has_y_ticks=left_px == MARGIN)
-        canvas.colour_bar(left_px + 16, bottom_px + 36, max(width - 32, 190), 10, scale)
+        canvas.map_axes(left_px, 26, map_size, shown, scale, has_y_ticks=is_first)
+        canvas.colour_bar(left_px + 16, bottom_px + 36, bar_px, 10, scale)
         left_px += panel_px + gap_px
     canvas.scale_bar(MARGIN, bottom_px + 66, width=width, um=area_map.width)
     canvas.draw_axis_names(left_px - panel_px - gap_px + width, bottom_px + 66)
@@ -137,23 +146,30 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
 
 
 def draw_progress(strain: xr.Dataset) -> Picture:
-    """Draw the mean move of a node over the steps, mesh by mesh."""
-    nodes, mean_move_um = strain["step_nodes"].values, strain["step_move"].values
+    """Draw the mean move of a node over the steps, mesh by mesh.
+
+    ``strain`` holds of each step ``step_nodes``, how many nodes the mesh has that it was done on,
+    and ``step_move`` in um, 0 where nothing moved.
+    """
+    nodes = strain["step_nodes"].values
+    mean_move_um = strain["step_move"].values
     node_counts = np.unique(nodes)
     is_moved = mean_move_um > 0
     log_moves = np.log10(np.where(is_moved, mean_move_um, 1.0))
-    ends = (0.0, 1.0)
+    least, most = 0.0, 1.0
     if is_moved.any():
-        ends = (float(log_moves[is_moved].min()), float(log_moves[is_moved].max()))
-    margin = 0.05 * max(ends[1] - ends[0], 1.0)
-    low = ends[0] - margin
-    high = ends[1] + margin
+        least = float(log_moves[is_moved].min())
+        most = float(log_moves[is_moved].max())
+    margin = 0.05 * max(most - least, 1.0)
+    low = least - margin
+    high = most + margin
     canvas = Canvas(HALF, 290)
     extent = (0.5, max(nodes.size, 1) + 0.5, low, high)
     axes = canvas.axes(78, 15, HALF - 95, 215, extent)
     for node_count in node_counts:
         mesh_steps = np.flatnonzero((nodes == node_count) & is_moved)
-        mesh_steps = mesh_steps[:: max(1, mesh_steps.size // 600)]
+        stride = max(1, mesh_steps.size // 600)  # more points than that look the same
+        mesh_steps = mesh_steps[::stride]
         colour = ACCENT if node_count == node_counts[-1] else SOFT
         axes.line(mesh_steps + 1.0, log_moves[mesh_steps], colour=colour, width=1.6)
         if nodes.size <= 200:
@@ -183,5 +199,7 @@ def _is_mirrored(flat: xr.Dataset) -> bool:
 
 
 def _from_top(data: xr.DataArray, flat: xr.Dataset) -> xr.DataArray:
-    """Return a map as it is seen from the top side."""
-    return data.copy(data=data.values[:, ::-1]) if _is_mirrored(flat) else data
+    """Return a map (y, x) as it is seen from the top side."""
+    if not _is_mirrored(flat):
+        return data
+    return data.copy(data=data.values[:, ::-1])

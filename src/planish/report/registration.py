@@ -36,8 +36,10 @@ from planish.report.draw import (
 from planish.report.text import title_of
 from planish.results import RegistrationFacts
 
-ARROW, EDGE = "#ff5238", "#39c5ff"
-_MARK, _SILENT = "#ffb000", "#7d8790"
+ARROW = "#ff5238"
+EDGE = "#39c5ff"
+_MARK = "#ffb000"
+_SILENT = "#7d8790"  # tiles without a distinct lag
 _AXIS = 78.0  # pixels of the corner that shows an axis
 _BLANK = 64  # pixels across a ground that shows nothing
 
@@ -62,9 +64,13 @@ class Ground:
         Below it is room for another scale bar.
         """
         shown = reduced(self.data, width=width - MARGIN)
-        box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
-        canvas = Canvas(width, box[1] + BELOW + 36)
-        left_px = (width - box[0] + MARGIN - 12) / 2
+        highest_px = 480.0
+        if width == FULL:
+            highest_px = 700.0
+        box = shown.fit(width - MARGIN - 12, highest_px)
+        map_width, map_height = box
+        canvas = Canvas(width, map_height + BELOW + 36)
+        left_px = (width - map_width + MARGIN - 12) / 2
         axes = canvas.map_axes(left_px, 4, box, shown, self.scale)
         canvas.draw_scale_row(axes, 2, max_share=0.2)
         return canvas, axes
@@ -127,9 +133,10 @@ def _draw_arrows(
     label: str,
     width: float,
 ) -> Magnified:
-    """Draw vectors, the longest over a share of the width.
+    """Draw vectors (n, 2) in um from their starts (n, 2), the longest over a share of the width.
 
-    With a scale bar of their own beside that of the ground.
+    Beside the scale bar of the ground they have one of their own, over at most ``max_share`` of the
+    width; ``label`` says of what, with braces for its length. Gives how they were magnified.
     """
     magnification = magnified(vectors, width_share * axes.shown.width)
     axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
@@ -147,7 +154,8 @@ def with_tiles_named(pairs: xr.Dataset, marks: xr.Dataset) -> xr.Dataset:
 
     ``is_tile`` says which are tiles of texture, without a diameter.
     """
-    is_tile = (marks["moving_source"].values == "tile") | (marks["fixed_source"].values == "tile")
+    is_moving_tile = marks["moving_source"].values == "tile"
+    is_tile = is_moving_tile | (marks["fixed_source"].values == "tile")
     return pairs.assign_coords(is_tile=("mark", is_tile[paired(marks)]))
 
 
@@ -172,7 +180,8 @@ def draw_registration(
 ) -> Picture:
     """Draw a ground with its numbered marks, and the residual of each as an arrow.
 
-    The marks (``fixed_*``) are ``hole_um`` wide.
+    The marks (``fixed_*``) are ``hole_um`` wide. ``moving_layer``: name of the layer that ``r``
+    brings onto that of the ground; ``width``: of the figure in pixels.
     """
     canvas, axes = ground.draw(width)
     note_text = ""
@@ -183,11 +192,12 @@ def draw_registration(
     _draw_marks(canvas, axes, marks, hole_um=hole_um)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows
     # where that one falls.
+    residuals = -points_of(marks, "residual")
     magnification = _draw_arrows(
         canvas,
         axes,
         fixed_xy,
-        -points_of(marks, "residual"),
+        residuals,
         width_share=0.09,
         max_share=0.12,
         label="{} of residual",
@@ -199,7 +209,8 @@ def draw_registration(
         note_text += (
             f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
         )
-    mark_table: Entries = {"mark": [*range(1, marks.sizes["mark"] + 1)]}
+    numbers = range(1, marks.sizes["mark"] + 1)
+    mark_table: Entries = {"mark": [*numbers]}
     if "label" in marks:
         mark_table["label"] = [*map(str, marks["label"].values)]
     for name, column in marks.data_vars.items():
@@ -215,6 +226,7 @@ def draw_registration(
 
 
 def _tiles_of(marks: xr.Dataset) -> Bools:
+    """Which marks are tiles of texture; none where that is not said."""
     if "is_tile" in marks.coords:
         return marks["is_tile"].values
     return np.zeros(marks.sizes["mark"], dtype=np.bool_)
@@ -225,20 +237,25 @@ def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
     n = marks.sizes["mark"]
     if is_tile.all():
         return f"{n} tiles of texture (orange crosses at their middles)"
-    tiles_text = ", crosses alone at the middles of tiles of texture" if is_tile.any() else ""
+    tiles_text = ""
+    if is_tile.any():
+        tiles_text = ", crosses alone at the middles of tiles of texture"
     return f"{n} marks (orange circles of {plain(hole_um)}{tiles_text})"
 
 
 def _draw_marks(canvas: Canvas, axes: Axes, marks: xr.Dataset, *, hole_um: float) -> None:
     """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
-    font_size = 14 if canvas.width == FULL else 11
+    font_size = 11
+    if canvas.width == FULL:
+        font_size = 14
     angles = np.linspace(0, 2 * np.pi, 49)
     circle_x = hole_um / 2 * np.cos(angles)
     circle_y = hole_um / 2 * np.sin(angles)
     style: Entries = {"size": font_size, "colour": _MARK}
-    cross_shift = (0, 0.32 * font_size)
+    cross_style: Entries = {"shift": (0, 0.32 * font_size), "anchor": "middle"}
     marked = zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True)
     for k, ((x, y), is_tile) in enumerate(marked, 1):
+        # The number stands above and to the left, at the circle or at the cross.
         away_um = 0.0
         shift = (-5, -4)
         halo = INK
@@ -247,7 +264,7 @@ def _draw_marks(canvas: Canvas, axes: Axes, marks: xr.Dataset, *, hole_um: float
             away_um = 0.42 * hole_um
             shift = (-2, -2)
             halo = ""
-        axes.text(x, y, "+", shift=cross_shift, anchor="middle", halo=halo, **style)
+        axes.text(x, y, "+", halo=halo, **cross_style, **style)
         label = (x - away_um, y - away_um, str(k))
         axes.text(*label, shift=shift, anchor="end", halo=INK, bold=True, **style)
 
@@ -263,7 +280,8 @@ def draw_expected_error(
 ) -> Picture | None:
     """Draw the expected error of ``layer`` on ``reference``, with contour lines and marks.
 
-    None if unknown.
+    None if unknown. ``error`` (y, x) is in um, NaN where ``layer`` is not shown; ``marks`` are None
+    where they lie on another layer than ``reference``.
     """
     finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
     if finite_errors.size == 0:
@@ -290,7 +308,9 @@ def draw_expected_error(
                 "of an error that all tiles share, only what light from one side explains is"
                 " included"
             )
-    contour_text = f"Contour lines every {length(step, 1)}. " if levels.size else ""
+    contour_text = ""
+    if levels.size:
+        contour_text = f"Contour lines every {length(step, 1)}. "
     caption = (
         f"Expected error of the position in {with_article(reference)} (rms, from the scatter of"
         f" the marks): {length(least, 2)} to {length(most, 2)}, median"
@@ -326,16 +346,20 @@ def draw_lags(
         label="{} of lag",
         width=2.2,
     )
-    doubt_text = (
-        " The check as a whole is inconclusive: read the arrows with caution." if lag.reason else ""
-    )
-    size_text = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
+    doubt_text = ""
+    if lag.reason:
+        doubt_text = " The check as a whole is inconclusive: read the arrows with caution."
+    size_text = ""
+    if is_known(lag.tile_um):
+        size_text = f" of {plain(lag.tile_um)}"
+    n_distinct = len(distinct_xy)
+    n_tiles = n_distinct + len(silent_xy)
     moving_text, reference_text = map_texts
     caption = (
         f"Arrows point from where the registration puts a piece of {moving_text} to where"
         f" {reference_text} shows it, {magnification.words}. Parallel arrows are a shift;"
         " arrows that turn or diverge are a rotation or a stretch; disordered arrows are"
-        f" chance. n = {count(len(distinct_xy))} of {count(len(distinct_xy) + len(silent_xy))}"
+        f" chance. n = {count(n_distinct)} of {count(n_tiles)}"
         f" overlapping tiles{size_text} with a distinct lag, grey dots the others.{doubt_text}"
         f" {ground.caption}"
     )
@@ -364,20 +388,28 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     several.
     """
     edges_um = [values[0] - pitch(values) / 2 for values in axes_of(ground.data)]
-    y0, x0 = edges_um + np.divide(lag.pixel_um, 2)
-    rows = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles]
-    tile_rows = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    is_distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
-    return tile_rows[is_distinct, :2], tile_rows[is_distinct, 2:], tile_rows[~is_distinct, :2]
+    y0, x0 = edges_um + np.divide(lag.pixel_um, 2)  # middle of that first pixel
+    places = [(tile.x + x0, tile.y + y0) for tile in lag.tiles]
+    xy = np.array(places, dtype=np.float64).reshape(-1, 2)
+    lags = np.array([tile.lag_um for tile in lag.tiles], dtype=np.float64).reshape(-1, 2)
+    is_distinct = np.array([tile.distinct for tile in lag.tiles], dtype=bool)
+    is_distinct &= np.isfinite(lags).all(axis=1)
+    return xy[is_distinct], lags[is_distinct], xy[~is_distinct]
 
 
 def _draw_direction(canvas: Canvas, axes: Axes, angle_deg: float, marks_xy: Array) -> None:
-    """Draw an axis in the corner that is farthest from marks."""
+    """Draw the machine direction in the corner that is farthest from marks (n, 2), (x, y) in um.
+
+    The angle runs from x clockwise.
+    """
+    # Upper left, upper right, lower left and lower right, in sizes of the axes.
     corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
-    mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
+    is_placed = np.isfinite(marks_xy).all(axis=1)
+    mark_pixels = axes.place(marks_xy[is_placed])
     offsets = corners[:, None] * (axes.width, axes.height) - mark_pixels
     distances = np.hypot(offsets[..., 0], offsets[..., 1])
-    is_right, is_low = corners[np.argmax(distances.min(axis=1, initial=np.inf))]
+    nearest_px = distances.min(axis=1, initial=np.inf)  # of each corner, to the next mark
+    is_right, is_low = corners[np.argmax(nearest_px)]
     left_px = axes.x + 8 + is_right * (axes.width - _AXIS - 16)
     top_px = axes.y + 8 + is_low * (axes.height - _AXIS - 16)
     canvas.box(left_px, top_px, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
@@ -386,6 +418,7 @@ def _draw_direction(canvas: Canvas, axes: Axes, angle_deg: float, marks_xy: Arra
     direction = np.array([np.cos(angle), np.sin(angle)])
     normal = np.array([-direction[1], direction[0]])
     ends = 0.92 * np.array([direction, -direction])
-    corner_axes.arrows([-0.22 * normal] * 2, ends, colour=INK, width=2.0, halo="")
+    middle = -0.22 * normal
+    corner_axes.arrows([middle, middle], ends, colour=INK, width=2.0, halo="")
     x, y = 0.36 * normal
     corner_axes.text(x, y, "MD", shift=(0, 4), anchor="middle", bold=True)

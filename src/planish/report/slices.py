@@ -37,7 +37,10 @@ class Slice:
     place_um: float  # along the axis that it cuts across
 
     def window(self, left: float, right: float, margin: float) -> Window:
-        """Return the part between two places that holds the sheet."""
+        """Return the part between two places along x, in um, that holds the sheet.
+
+        It reaches a margin, in um, beyond the surfaces there, within the slice.
+        """
         is_inside = (self.x >= left) & (self.x <= right)
         low, high = self.range
         face_heights = np.concatenate([v[is_inside] for v in self.lines.values()])
@@ -51,6 +54,11 @@ class Slice:
     def range(self) -> Pair:
         """Lowest and highest height."""
         return float(self.heights[-1]), float(self.heights[0])
+
+
+def top_sign(surfaces: xr.Dataset) -> float:
+    """Return 1 where the top side has the larger coordinates, and -1 where the smaller ones."""
+    return 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
 
 
 def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
@@ -107,10 +115,14 @@ def _draw_window(
     scale: Scale,
     width: float,
 ) -> Axes:
-    """Draw the grey values and the lines of a part of a slice."""
+    """Draw the grey values and the lines of a part of a slice, its upper left corner at a place.
+
+    ``zoom``: pixels of the figure for a um; ``width``: of the lines in pixels.
+    """
     left, right, low, high = window
     width_px = (right - left) * zoom
-    axes = canvas.axes(*corner_px, width_px, (high - low) * zoom, window)
+    height_px = (high - low) * zoom
+    axes = canvas.axes(*corner_px, width_px, height_px, window)
     cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
     coordinates = [("height", cut.heights[rows]), ("x", cut.x[cols])]
@@ -131,7 +143,7 @@ def _draw_window(
 
 def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
     """Draw a window of each slice, side by side, and say which line is which."""
-    gap = 22.0
+    gap = 22.0  # pixels between two windows
     widest_um, highest_um = _largest(windows)
     width = 0.6 * FULL
     if len(cuts) > 1:
@@ -162,6 +174,7 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
 
 
 def _px_per_um(windows: list[Window], width: float) -> float:
+    """Pixels for a um with which windows are at most so wide, in pixels, and 450 high."""
     widest_um, highest_um = _largest(windows)
     return min(width / widest_um, 450 / highest_um)
 
@@ -181,16 +194,19 @@ def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> li
     tight_windows = list[Window]()
     for cut, span in zip(cuts, spans, strict=True):
         centre_um = _clear_place(cut, span)
-        tight_windows.append(cut.window(centre_um - half_um, centre_um + half_um, margin))
+        window = cut.window(centre_um - half_um, centre_um + half_um, margin)
+        tight_windows.append(window)
     _, height_um = _largest(tight_windows)
     windows: list[Window] = []
     for cut, (left, right, low, high) in zip(cuts, tight_windows, strict=True):
+        # As much is added above as below, within the slice.
         floor, ceiling = cut.range
         highest = max(ceiling - height_um, floor)
         bottom = min(max((low + high - height_um) / 2, floor), highest)
+        top = min(bottom + height_um, ceiling)
         left = max(left, float(cut.x[0]))
         right = min(right, float(cut.x[-1]))
-        windows.append((left, right, bottom, min(bottom + height_um, ceiling)))
+        windows.append((left, right, bottom, top))
     return windows
 
 
@@ -209,7 +225,7 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     -------
     Slice
     """
-    sign = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
+    sign = top_sign(surfaces)
     heights = sign * slices["height"].values.astype(np.float64)
     order: Ints = np.argsort(-heights)
     row = int(slices["row"].values[k])
@@ -230,7 +246,10 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
 
 
 def _overview_window(cut: Slice, margin: float) -> Window:
-    """Return the whole slice, or its middle where the whole would be a hair line."""
+    """Return the whole slice, or its middle where the whole would be a hair line.
+
+    ``margin``, in um, is that of :meth:`Slice.window`.
+    """
     left = float(cut.x[0])
     right = float(cut.x[-1])
     *_, low, high = cut.window(left, right, margin)
@@ -245,11 +264,15 @@ def _overview_window(cut: Slice, margin: float) -> Window:
     if width_um <= max_width_um:
         return left, right, low, high
     centre_um = (left + right) / 2
-    return cut.window(centre_um - max_width_um / 2, centre_um + max_width_um / 2, margin)
+    half_um = max_width_um / 2
+    return cut.window(centre_um - half_um, centre_um + half_um, margin)
 
 
 def _clear_place(cut: Slice, span: Window) -> float:
-    """The middle of the window in a span that was measured best, of several the most central."""
+    """The middle of the window in a span that was measured best, of several the most central.
+
+    It is a place along x in um, the middle of the span where that is narrower than a window.
+    """
     step = pitch(cut.x)
     left, right, *_ = span
     middle_um = (left + right) / 2
@@ -258,9 +281,12 @@ def _clear_place(cut: Slice, span: Window) -> float:
     measured_share = np.convolve(cut.used.astype(np.float64), weights, mode="valid")
     centres_um = cut.x[: measured_share.size] + (n_columns - 1) / 2 * step
     is_left_inside = centres_um - _WINDOW_UM / 2 >= left - step
-    is_inside = is_left_inside & (centres_um + _WINDOW_UM / 2 <= right + step)
+    is_right_inside = centres_um + _WINDOW_UM / 2 <= right + step
+    is_inside = is_left_inside & is_right_inside
     if not is_inside.any():
         return middle_um
+    # Shares that differ by less than a tenth count alike; the distance in spans is at most a half.
     distance = np.abs(centres_um - middle_um) / max(right - left, step)
     score = np.where(is_inside, np.round(measured_share, 1) - distance, -np.inf)
-    return float(centres_um[int(np.argmax(score))])
+    best = np.argmax(score)
+    return float(centres_um[best])
