@@ -400,8 +400,8 @@ MUTANTS = [
     ),
     Mutant(
         "resample/_kernels.py",
-        "return (i + wb + wc, j + wb) if number & 1",
-        "return (i + wb, j + wb + wc) if number & 1",
+        "return (wb + wc, wb) if number & 1",
+        "return (wb, wb + wc) if number & 1",
         "resample/test_quads.py",
     ),
     # analyze

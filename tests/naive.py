@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy import optimize, special
-from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
+from scipy.interpolate import LinearNDInterpolator
 
 
 def area_mean(values, factor, least=0.5):
@@ -74,16 +74,13 @@ def paraboloid_at(height, pitch, cutoff, row, col, gamma=0.887):
 
 def distance_along_normal(surface, centre, normals, pitch, i, j):
     """Signed distance from one node to a surface along its normal, by root bracketing."""
-    rows, cols = surface.shape
-    at = RegularGridInterpolator(
-        (np.arange(rows), np.arange(cols)), surface, bounds_error=False, fill_value=None
-    )
     nr, nc, nh = (n[i, j] for n in normals)
 
     def gap(s):
-        return at((i + s * nr / pitch[0], j + s * nc / pitch[1])).item() - (centre[i, j] + s * nh)
+        height = cubic_between(surface, i + s * nr / pitch[0], j + s * nc / pitch[1])
+        return height.item() - (centre[i, j] + s * nh)
 
-    return optimize.brentq(gap, -200.0, 200.0, xtol=1e-9)
+    return optimize.brentq(gap, 0.0, 40.0, xtol=1e-9)
 
 
 def resample_delaunay(uv, field, points):
@@ -129,6 +126,36 @@ def relax(points):
     return found.x.reshape(*points.shape[:2], 2), float(2 * found.cost)
 
 
+def keys(share):
+    """Weights of four nodes in a row: Keys's formula (1981) in the distance, a = -1/2."""
+    s = np.abs(share - np.array([-1.0, 0.0, 1.0, 2.0]))
+    near = 1.5 * s**3 - 2.5 * s**2 + 1.0
+    far = -0.5 * s**3 + 2.5 * s**2 - 4.0 * s + 2.0
+    return np.where(s <= 1.0, near, far)
+
+
+def cubic_between(values, row, col):
+    """Value of an array (rows, cols, ...) between its nodes by cubic convolution, within the range
+    of the four by four around; NaN where one is missing."""
+    i, j = (min(int(place), n - 2) for place, n in zip((row, col), values.shape, strict=False))
+    if min(i, j) < 1 or i > values.shape[0] - 3 or j > values.shape[1] - 3:
+        return np.full(values.shape[2:], np.nan)
+    around = values[i - 1 : i + 3, j - 1 : j + 3]
+    if not np.isfinite(around).all():
+        return np.full(values.shape[2:], np.nan)
+    total = np.tensordot(np.outer(keys(row - i), keys(col - j)), around)
+    return np.clip(total, around.min(axis=(0, 1)), around.max(axis=(0, 1)))
+
+
+def cubic_on_quads(uv, field, place, index, point):
+    """Value at a point that has a place (row, col) in a triangle of nodes ``index``: cubic
+    convolution at that place, less the triangle's slope times the way from the point to where the
+    convolution of the coordinates leads."""
+    corners, values = (a[index[:, 0], index[:, 1]] for a in (uv, field))
+    slope = np.linalg.solve(corners[1:] - corners[0], values[1:] - values[0])
+    return cubic_between(field, *place) - (cubic_between(uv, *place) - point) @ slope
+
+
 def resample_quads(uv, field, points):
     """Triangle by triangle of the quad mesh, all points at once: value, nearest node, and number of
     quads on each."""
@@ -165,6 +192,10 @@ def resample_quads(uv, field, points):
                     for w, (k, m) in zip(used.T, index, strict=True)
                 )
                 value[first] = values[first]
+                for k in np.flatnonzero(first):
+                    cubic = cubic_on_quads(uv, field, here[k], index, flat[k])
+                    if np.isfinite(cubic):
+                        value[k] = cubic
                 nearest = np.floor(here - (i, j) + 0.5).astype(int) + np.array([i, j])
                 node[first] = (nearest[:, 0] * cols + nearest[:, 1])[first]
     return (a.reshape(points.shape[:-1]) for a in (value, node, quads))

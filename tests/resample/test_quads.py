@@ -115,6 +115,30 @@ def test_what_is_affine_in_the_plane_stays_so(method, least_um):
     np.testing.assert_allclose(out[whole], truth[whole], rtol=1e-9, atol=1e-9 * np.abs(truth).max())
 
 
+def test_a_wave_of_four_columns_keeps_its_height_and_a_parabola_is_exact():
+    """By Keys's weights such a wave keeps 94 % on average over all places between two nodes; by
+    straight lines 81 %."""
+    uv = grid(60, 60, 3.0)
+    places = find_places(uv, Grid.regular((230, 230), 0.7, (4.0, 5.0)))
+    x = 4.0 + 0.7 * np.arange(230)
+    waves = np.sin(2 * np.pi * uv[..., 0] / 12.0)
+    slope = np.polyfit(np.sin(2 * np.pi * x / 12.0), resample(waves, places).mean(axis=0), 1)[0]
+    assert slope == pytest.approx(0.939, abs=0.005)
+    parabola = 0.02 * uv[..., 0] ** 2
+    np.testing.assert_allclose(
+        resample(parabola, places), np.tile(0.02 * x**2, (230, 1)), rtol=1e-9
+    )
+
+
+def test_values_between_nodes_stay_within_those_around():
+    """Beside a bare spot a coating is not thinner than nothing."""
+    coating = np.zeros((20, 20))
+    coating[:, 10:] = 12.0
+    places = find_places(grid(20, 20, 3.0), Grid.regular((50, 50), 0.9, (5.0, 5.0)))
+    out = resample(coating, places)
+    assert (out.min(), out.max()) == (0.0, 12.0)
+
+
 def test_delaunay_equals_scipy_and_agrees_where_the_field_is_smooth():
     uv = bent(30, 30)
     uv[8:11, 9:14] = np.nan

@@ -10,6 +10,7 @@ no integral and no length.
 
 import numpy as np
 
+from planish.core._cubic_kernels import cubic_value
 from planish.core.jit import njit
 
 _STEPS = 12
@@ -19,9 +20,10 @@ _HALF = 0.5
 
 @njit(cache=True, nogil=True)
 def height_at(field, r, c):
-    """Bilinear height at fractional row and column; NaN beside two missing nodes, or right at one.
+    """Height at fractional row and column; NaN beside two missing nodes, or right at one.
 
-    A column in which one face was not found has good neighbours as a rule: the plane through the
+    It is that of cubic convolution where all nodes around are known, and bilinear elsewhere. A
+    column in which one face was not found has good neighbours as a rule: the plane through the
     other three nodes speaks for it, where they hold half of the weight or more. The outermost cells
     reach one node further than the field, so that a normal at the border, which leans outwards by a
     fraction of the sheet's thickness, still meets its faces. Beyond that NaN.
@@ -32,6 +34,9 @@ def height_at(field, r, c):
     i = min(max(int(r), 0), rows - 2)
     j = min(max(int(c), 0), cols - 2)
     fr, fc = r - i, c - j
+    height = cubic_value(field, i, j, fr, fc)
+    if np.isfinite(height):
+        return height
     p, q = field[i, j], field[i, j + 1]
     s, t = field[i + 1, j], field[i + 1, j + 1]
     if not np.isfinite(p) and (1 - fr) * (1 - fc) <= _HALF:

@@ -12,6 +12,7 @@ out.
 
 import numpy as np
 
+from planish.core._cubic_kernels import cubic_value
 from planish.core.jit import njit
 
 _EDGE = 1e-9  # of a triangle's weights: a pixel on a common edge is never lost to rounding
@@ -19,11 +20,18 @@ _SAME = 1e-6  # of a quad: what two quads with a common edge may differ in about
 
 
 @njit(cache=True, nogil=True)
+def _shares(number, wb, wc):
+    """Shares of the way across a triangle's quad, along the rows' index and the columns'."""
+    return (wb + wc, wb) if number & 1 else (wc, wb + wc)
+
+
+@njit(cache=True, nogil=True)
 def _place(number, wb, wc, cols):
     node = number >> 1
     i = node // cols
     j = node - i * cols
-    return (i + wb + wc, j + wb) if number & 1 else (i + wc, j + wb + wc)
+    row_share, col_share = _shares(number, wb, wc)
+    return i + row_share, j + col_share
 
 
 @njit(cache=True, nogil=True)
@@ -162,12 +170,64 @@ def _value(field, a, b, c, wb, wc):
 
 
 @njit(cache=True, nogil=True)
-def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end):
+def _cubic(lattice, number, wb, wc):
+    """Value of a field (rows, cols) in a triangle of its quads, by cubic convolution."""
+    node = np.int64(number) >> 1
+    i = node // lattice.shape[1]
+    j = node - i * lattice.shape[1]
+    row_share, col_share = _shares(number, wb, wc)
+    return cubic_value(lattice, i, j, row_share, col_share)
+
+
+@njit(cache=True, nogil=True)
+def find_bends(u, v, triangle, weight, bend, begin, end):
+    """Set how far cubic convolution of the coordinates themselves leads past each pixel.
+
+    A mesh of parallelograms leads to the pixel; on any other, what is affine in the plane stays so
+    once this is taken off.
+
+    u, v       : (rows, cols), flat coordinates of the nodes
+    triangle   : (rows_out, cols_out) int32, as :func:`locate` sets it
+    weight     : (2, rows_out, cols_out), as :func:`locate` sets it
+    bend       : (2, rows_out, cols_out), set to what the weights of the triangle's second and third
+                 corner would have to be more for that; NaN where one of the four by four nodes
+                 around is missing
+    begin, end : rows of ``bend`` to do
+    """
+    cols = u.shape[1]
+    u_nodes, v_nodes = u.reshape(-1), v.reshape(-1)
+    no_corners = np.empty((0, 3), np.int32)
+    for y in range(begin, end):
+        for x in range(bend.shape[2]):
+            bend[0, y, x] = np.nan
+            bend[1, y, x] = np.nan
+            number = triangle[y, x]
+            if number < 0:
+                continue
+            wb, wc = weight[0, y, x], weight[1, y, x]
+            a, b, c = _corners(number, no_corners, cols)
+            au, av = u_nodes[a], v_nodes[a]
+            bu, bv = u_nodes[b] - au, v_nodes[b] - av
+            cu, cv = u_nodes[c] - au, v_nodes[c] - av
+            past_u = _cubic(u, number, wb, wc) - (au + (wb * bu + wc * cu))
+            past_v = _cubic(v, number, wb, wc) - (av + (wb * bv + wc * cv))
+            area = bu * cv - cu * bv
+            bend[0, y, x] = (past_u * cv - cu * past_v) / area
+            bend[1, y, x] = (bu * past_v - past_u * bv) / area
+
+
+@njit(cache=True, nogil=True)
+def sample(field, triangle, weight, bend, corners, fine, out, share, begin, end):
     """Set ``out`` to a field's mean over each pixel's known sub-pixels, ``share`` to their share.
 
-    field      : (rows * cols), values at the nodes of a mesh with ``cols`` columns; NaN is missing
+    In a mesh of quads, values between nodes are those of cubic convolution where four by four nodes
+    are known. In other triangles, and elsewhere, they are linear.
+
+    field      : (rows, cols), values at the nodes of the mesh; NaN is missing
     triangle   : (rows_out * fine, cols_out * fine), as :func:`locate` sets it
     weight     : (2, rows_out * fine, cols_out * fine), as :func:`locate` sets it
+    bend       : (2, rows_out * fine, cols_out * fine), as :func:`find_bends` sets it; without rows
+                 for other triangles than those of the quads
     corners    : (triangles, 3) int32, nodes of each triangle; without rows for the triangles of the
     quads
     fine       : sub-pixels per pixel and axis
@@ -175,6 +235,7 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
     ``share`` may be empty
     begin, end : rows of ``out`` to do
     """
+    nodes = field.reshape(-1)
     for y in range(begin, end):
         for x in range(out.shape[1]):
             total = 0.0
@@ -184,8 +245,15 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
                     number = triangle[m, n]
                     if number < 0:
                         continue
-                    a, b, c = _corners(number, corners, cols)
-                    value = _value(field, a, b, c, weight[0, m, n], weight[1, m, n])
+                    wb, wc = weight[0, m, n], weight[1, m, n]
+                    a, b, c = _corners(number, corners, field.shape[1])
+                    value = np.nan
+                    if bend.shape[1] > 0:
+                        past = bend[0, m, n] * (nodes[b] - nodes[a])
+                        past += bend[1, m, n] * (nodes[c] - nodes[a])
+                        value = _cubic(field, number, wb, wc) - past
+                    if value != value:
+                        value = _value(nodes, a, b, c, wb, wc)
                     if value == value:
                         total += value
                         known += 1

@@ -22,7 +22,7 @@ from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.transform import are_known, grid_points
 from planish.core.typing import Array, Bools, Floats, Pair, Shape2D, Window, pair_of
-from planish.resample._kernels import locate, sample
+from planish.resample._kernels import find_bends, locate, sample
 
 Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
@@ -45,6 +45,11 @@ class Places(DescribedModel):
     weight: Floats
     """(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the first
     one has the rest of 1; anything outside.
+    """
+    bend: Floats
+    """(2, rows * fine, cols * fine): how far cubic convolution of the flat coordinates leads past a
+    sub-pixel, as weights of the triangle's second and third corner; NaN where one of the four by
+    four nodes around is missing. Without rows for Delaunay's triangles.
     """
     corners: Indices
     """(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the quads."""
@@ -121,6 +126,7 @@ def find_places(
     overlaps = 0
     triangle = np.empty(size, np.int32)
     weight = np.empty((2, *size))
+    bend = np.empty((2, 0, 0))
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
     else:
@@ -131,8 +137,21 @@ def find_places(
             return locate(uv, first, step, *extents, triangle, weight, is_double, begin, end)
 
         overlaps = sum(each_band(band, size[0]))
+        bend = np.empty((2, *size))
+        u_nodes, v_nodes = (np.ascontiguousarray(uv[..., k]) for k in range(2))
+
+        def bend_band(begin: int, end: int) -> None:
+            find_bends(u_nodes, v_nodes, triangle, weight, bend, begin, end)
+
+        each_band(bend_band, size[0])
     return Places(
-        triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps
+        triangle=triangle,
+        weight=weight,
+        bend=bend,
+        corners=corners,
+        mesh=mesh,
+        fine=fine,
+        overlaps=overlaps,
     )
 
 
@@ -168,8 +187,12 @@ class Mesh:
         nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
         if touched.any():
             rows, segments = (np.flatnonzero(touched.any(axis=axis)).tolist() for axis in (1, 0))
-            last = min((segments[-1] + 1) * _SEGMENT, self.uv.shape[1] - 1)
-            nodes = slice(rows[0], rows[-1] + 2), slice(segments[0] * _SEGMENT, last + 1)
+            after_last = (segments[-1] + 1) * _SEGMENT + 1
+            # Values between nodes need one more on either side.
+            nodes = (
+                slice(max(rows[0] - 1, 0), rows[-1] + 3),
+                slice(max(segments[0] * _SEGMENT - 1, 0), after_last + 1),
+            )
         return nodes, find_places(self.uv[nodes], grid, least_um=self.least_um)
 
 
@@ -267,7 +290,9 @@ def _locate_in_delaunay(
 def resample(field: Array, places: Places) -> Floats:
     """Give the values of a mesh field on the grid.
 
-    The field is linear in each triangle, and a pixel gets the mean over its sub-pixels.
+    Between the nodes the field is that of cubic convolution (Keys 1981); linear in the triangle
+    where one of the four by four nodes around is missing. A pixel gets the mean over its
+    sub-pixels.
 
     Parameters
     ----------
@@ -345,12 +370,12 @@ def _sampled(field: Array, places: Places, share: Floats) -> Floats:
             f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the"
             " nodes of that mesh."
         )
-    nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
+    nodes = np.ascontiguousarray(field, dtype=np.float64)
     p = places
     out = np.empty(p.shape)
 
     def band(begin: int, end: int) -> None:
-        sample(nodes, p.mesh[1], p.triangle, p.weight, p.corners, p.fine, out, share, begin, end)
+        sample(nodes, p.triangle, p.weight, p.bend, p.corners, p.fine, out, share, begin, end)
 
     each_band(band, out.shape[0])
     return out
