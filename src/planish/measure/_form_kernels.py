@@ -10,7 +10,7 @@ _TERMS = 6
 
 @njit(cache=True, nogil=True)
 def normal_equations(i, place, normal, weight, distance, reach, width_um, shape):
-    """Matrices (cols, 6, 6) and right sides (cols, 6, k) of paraboloids about the nodes of a row.
+    """Matrices (cols, 6, 6) and right sides (cols, 6, k) of paraboloids about the nodes of row i.
 
     A paraboloid is fitted, with the weights exp(-pi (r / width_um)^2), to what lies ``distance``
     (rows, cols, k) above the nodes around its own along their unit vectors ``normal`` (rows, cols,

@@ -44,10 +44,15 @@ def inscribed(distance, step):  # noqa: C901
 
 @njit(cache=True, nogil=True)
 def _swallowed(distance, i, j, k, step):
+    """Whether the sphere about a sample lies inside that about one of its 26 neighbours.
+
+    ``distance`` and ``step`` as for :func:`inscribed`. Such a sphere needs no look of its own.
+    """
     r = distance[i, j, k]
-    for a in range(max(i - 1, 0), min(i + 2, distance.shape[0])):
-        for b in range(max(j - 1, 0), min(j + 2, distance.shape[1])):
-            for c in range(max(k - 1, 0), min(k + 2, distance.shape[2])):
+    rows, cols, count = distance.shape
+    for a in range(max(i - 1, 0), min(i + 2, rows)):
+        for b in range(max(j - 1, 0), min(j + 2, cols)):
+            for c in range(max(k - 1, 0), min(k + 2, count)):
                 if a == i and b == j and c == k:
                     continue
                 down = (a - i) * step[0]

@@ -65,7 +65,10 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
     out = np.full((rows, cols), np.nan)
     for i in range(rows):
         for j in range(cols):
-            h0, nr, nc, nh = centre[i, j], normal_r[i, j], normal_c[i, j], normal_h[i, j]
+            h0 = centre[i, j]
+            nr = normal_r[i, j]
+            nc = normal_c[i, j]
+            nh = normal_h[i, j]
             # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they
             # converge in three or four.
             s0 = 0.0
@@ -74,9 +77,9 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
                 continue
             s1 = f0 * nh
             for _ in range(_STEPS):
-                f1 = height_at(surface, i + s1 * nr / pitch_r, j + s1 * nc / pitch_c) - (
-                    h0 + s1 * nh
-                )
+                r = i + s1 * nr / pitch_r
+                c = j + s1 * nc / pitch_c
+                f1 = height_at(surface, r, c) - (h0 + s1 * nh)
                 if not np.isfinite(f1):
                     break
                 if abs(f1) < _CLOSE_UM:
@@ -161,9 +164,11 @@ def _seen(grey, padding):
 
 @njit(cache=True, nogil=True)
 def _piece(g, x0, x1, least, most):
-    """Integrate a profile between two places in samples.
+    """Integrate a profile g (samples,) between two places x0 <= x1, in samples.
 
-    Also gives the length on which least <= g <= most, and the ends on the way.
+    Also gives the length on which least <= g <= most, in samples, and how many ends of it lie on
+    the way: places at which the profile passes one of the two levels. NaN, NaN and 0 where a place
+    lies outside the profile, or a sample on the way is not known.
     """
     if not (x0 >= 0 and x1 <= g.size - 1):
         return np.nan, np.nan, 0
@@ -177,7 +182,8 @@ def _piece(g, x0, x1, least, most):
             g0 = float(g[k])
             g1 = float(g[k + 1]) if k + 1 < g.size else g0
             total += (b - a) * (g0 + (g1 - g0) * 0.5 * (a + b))
-            v0, v1 = g0 + (g1 - g0) * a, g0 + (g1 - g0) * b
+            v0 = g0 + (g1 - g0) * a
+            v1 = g0 + (g1 - g0) * b
             if not (np.isfinite(v0) and np.isfinite(v1)):
                 return np.nan, np.nan, 0
             lo = min(v0, v1)
@@ -206,9 +212,12 @@ def pieces(grey, s0, ds, lower, upper, least, most):
     ends = np.zeros((rows, cols), dtype=np.int32)
     for i in range(rows):
         for j in range(cols):
-            x0, x1 = (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds
+            x0 = (lower[i, j] - s0) / ds
+            x1 = (upper[i, j] - s0) / ds
             total, part, n = _piece(grey[i, j], x0, x1, least, most)
-            integral[i, j], length[i, j], ends[i, j] = ds * total, ds * part, n
+            integral[i, j] = ds * total
+            length[i, j] = ds * part
+            ends[i, j] = n
     return integral, length, ends
 
 
@@ -307,7 +316,8 @@ def depths_of_shares(grey, s0, ds, face, limit, least, most, shares):
     for i in range(rows):
         for j in range(cols):
             g = grey[i, j]
-            x1, x0 = (face[i, j] - s0) / ds, (limit[i, j] - s0) / ds
+            x1 = (face[i, j] - s0) / ds
+            x0 = (limit[i, j] - s0) / ds
             _, whole, _n = _piece(g, x0, x1, least, most)
             total[i, j] = whole * ds
             if not whole > 0:

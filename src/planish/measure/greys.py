@@ -40,7 +40,10 @@ class Greys:
 
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:
-        """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
+        """Read the levels from the surfaces' attributes; SurfaceError if they are not there.
+
+        Older surfaces lack some of the others, which then have the values of the class.
+        """
         from planish.core.grid import blur_reach_um
 
         attrs = surfaces.attrs

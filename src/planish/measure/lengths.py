@@ -75,7 +75,11 @@ def _check_ink(params: InkOptions, _greys: Greys) -> None:
 
 @cached
 def _depths(rays: Rays) -> tuple[Floats, Floats, Codes]:
-    """Depths of 50, 90 and 95 % of the ink (3, rows, cols), their standard error, and reasons."""
+    """Depths of 50, 90 and 95 % of the ink (3, rows, cols), their standard error, and reasons.
+
+    All in um below the top face, along the ray; NaN where there is a reason: NO_INK, or AT_LIMIT
+    where ink goes on below the depth to which it is looked for. 0 is no reason.
+    """
     from planish.measure import _ray_kernels
 
     options = rays.params.of(InkOptions)
@@ -87,7 +91,8 @@ def _depths(rays: Rays) -> tuple[Floats, Floats, Codes]:
         limit = np.maximum(rays.top - options.ink_reach_um, rays.bottom)
     step_um = rays.step_um
     shares = np.array(list(_INK_SHARES)) / 100
-    depth, total = _ray_kernels.depths_of_shares(*rays.profiles, rays.top, limit, low, high, shares)
+    layer = (rays.top, limit)
+    depth, total = _ray_kernels.depths_of_shares(*rays.profiles, *layer, low, high, shares)
     # Ink that is still there where the search ends may go deeper: its shares are not known.
     near, _ = rays.length(limit, limit + step_um, least=low, most=high)
     reason = np.zeros(total.shape, np.uint8)
@@ -150,9 +155,9 @@ def thickness_se(sheet: Sheet, name: str) -> Floats:
     slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
-    coatings_um: dict[Side, Floats] = {
-        side: face_length(f.faces, f"coating_{side}") / oblique for side in SIDES
-    }
+    coatings_um: dict[Side, Floats] = {}
+    for side in SIDES:
+        coatings_um[side] = face_length(f.faces, f"coating_{side}") / oblique
     errors = thickness_errors(coatings_um, f.greys, shared_noise, cosine=1 / secant(slope))
     return errors[name] * oblique
 
@@ -175,7 +180,8 @@ def coating(sheet: Sheet, side: Side) -> Measured:
 
 
 def _between_faces(sheet: Sheet, name: str) -> Measured:
-    return Measured(values=face_length(sheet.frame.faces, name), se=thickness_se(sheet, name))
+    length_um = face_length(sheet.frame.faces, name)
+    return Measured(values=length_um, se=thickness_se(sheet, name))
 
 
 def _needs_both_coatings(_params: Common, greys: Greys) -> None:
@@ -185,8 +191,10 @@ def _needs_both_coatings(_params: Common, greys: Greys) -> None:
 
 def difference(sheet: Sheet, name: str) -> Measured:
     """Top less bottom of a property; SE: the root of the summed squares of both."""
-    top, bottom = (sheet.maps[f"{name}_{side}"] for side in SIDES)
-    return Measured(values=top.values - bottom.values, se=np.hypot(top.se, bottom.se))
+    top = sheet.maps[f"{name}_top"]
+    bottom = sheet.maps[f"{name}_bottom"]
+    se = np.hypot(top.se, bottom.se)
+    return Measured(values=top.values - bottom.values, se=se)
 
 
 @sheet_property(
@@ -233,30 +241,39 @@ def thickness_envelope(sheet: Sheet) -> Measured:
 
     f = sheet.frame
     radius_um = sheet.params.of(ThicknessOptions).envelope_radius_um
-    top, bottom = (
-        rolled(np.where(sheet.valid, face, np.nan), f.pitch_um, radius_um)
-        for face in (f.faces["top"], -f.faces["bottom"])
-    )
-    return Measured(values=top + bottom)
+    thickness_um = np.zeros(sheet.valid.shape)
+    for outward_um in (f.faces["top"], -f.faces["bottom"]):
+        face_um = np.where(sheet.valid, outward_um, np.nan)
+        thickness_um += rolled(face_um, f.pitch_um, radius_um)
+    return Measured(values=thickness_um)
 
 
 @cached
 def _layer(rays: Rays, side: Side) -> ThreeFields:
-    """Return t_sum, t_env and the standard error of both of the coating of one side."""
+    """Return t_sum, t_env and the standard error of both of the coating of one side.
+
+    Each (rows, cols) in um of ray: the summed length of coating in the outermost connected layer,
+    and the distance from the face to the inner end of that layer; 0 where no layer begins.
+    """
     from planish.measure import _ray_kernels
     from planish.measure.uncertainty import face_errors
 
     greys = rays.greys
     coating_level = greys.coating(side)
+    # From the face inwards, as far as the interface of the other side.
     if side == "top":
-        face, inwards, limit = rays.top, -1.0, rays.interface_bottom
+        path = (rays.top, -1.0)
+        limit = rays.interface_bottom
     else:
-        face, inwards, limit = rays.bottom, 1.0, rays.interface_top
+        path = (rays.bottom, 1.0)
+        limit = rays.interface_top
     half_way = 0.5 * (coating_level + greys.base)
+    # A thin layer's grey passes half way some blurs below the face, or nowhere.
     reach_um = rays.oblique * (2.5 * greys.blur_um + rays.voxel_um)
     gap_um = rays.params.of(ThicknessOptions).gap_um
+    levels = (half_way, greys.polarity)
     summed, envelope, ends = _ray_kernels.layers(
-        *rays.profiles, face, inwards, half_way, greys.polarity, reach_um, gap_um, limit
+        *rays.profiles, *path, *levels, reach_um, gap_um, limit
     )
     ends_se = rays.crossings_se(ends, coating_level - greys.base)
     return summed, envelope, np.hypot(face_errors(rays, envelope, side), ends_se)
@@ -514,11 +531,15 @@ def half_thickness_difference(sheet: Sheet) -> Measured:
 def warp(sheet: Sheet) -> Floats:
     """Height of the centre surface above the plane that fits it best, up towards the top."""
     height = sheet.frame.heights["centre"]
-    y, x = (np.arange(n) * p for n, p in zip(height.shape, sheet.frame.pitch_um, strict=True))
+    rows, cols = height.shape
+    row_um, col_um = sheet.frame.pitch_um
+    y = np.arange(rows) * row_um
+    x = np.arange(cols) * col_um
     yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
     is_finite = np.isfinite(height) & sheet.valid
-    terms = np.stack([np.ones_like(yy), yy, xx], axis=-1)[is_finite]
-    offset, by_y, by_x = np.linalg.lstsq(terms, height[is_finite], rcond=None)[0]
+    terms = np.stack([np.ones_like(yy), yy, xx], axis=-1)
+    plane, *_ = np.linalg.lstsq(terms[is_finite], height[is_finite], rcond=None)
+    offset, by_y, by_x = plane
     return height - (offset + by_y * yy + by_x * xx)
 
 
@@ -551,8 +572,8 @@ def mean_curvature(sheet: Sheet) -> Floats:
     p, q are the slopes, r, s, t the second derivatives of the centre surface's height.
     """
     p, q, r, s, t = _derivatives(sheet)
-    above = (1 + p * p) * t - 2 * p * q * s + (1 + q * q) * r
-    return _PER_MM * above / (2 * (1 + p * p + q * q) ** 1.5)
+    numerator = (1 + p * p) * t - 2 * p * q * s + (1 + q * q) * r
+    return _PER_MM * numerator / (2 * (1 + p * p + q * q) ** 1.5)
 
 
 @sheet_property(
@@ -569,9 +590,10 @@ def gaussian_curvature(sheet: Sheet) -> Floats:
 
 
 def _derivatives(sheet: Sheet) -> list[Floats]:
-    """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows.
+    """Slopes p, q and second derivatives r, s, t of the centre surface, (rows, cols) each.
 
-    NaN on the border.
+    With z the height, y down the rows and x across the columns, in um: p = dz/dx, q = dz/dy, r =
+    d2z/dx2, s = d2z/dxdy, t = d2z/dy2, from the eight neighbours. NaN on the border.
     """
     c = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um
@@ -583,7 +605,8 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     p = (right - left) / (2 * dx)
     q = (down - up) / (2 * dy)
     r = (right - 2 * centre + left) / dx**2
-    above, below = c[:-2], c[2:]
+    above = c[:-2]
+    below = c[2:]
     s = (below[:, 2:] - below[:, :-2] - above[:, 2:] + above[:, :-2]) / (4 * dx * dy)
     t = (down - 2 * centre + up) / dy**2
     return [np.pad(derivative, 1, constant_values=np.nan) for derivative in (p, q, r, s, t)]

@@ -87,11 +87,7 @@ class Densities(Params):
 
     def known(self) -> dict[str, float]:
         """Return those that are known, for the attributes of a dataset."""
-        return {
-            name: number
-            for name in Densities.model_fields
-            if (number := getattr(self, name)) is not None
-        }
+        return self.model_dump(include={*Densities.model_fields}, exclude_none=True)
 
 
 class Options(Densities):
@@ -119,6 +115,10 @@ class Options(Densities):
 def _in_grams(
     layer: Measured, sheet: Sheet, quantity_text: str, weighed_g_m2: float | None, density: str
 ) -> Measured:
+    """Turn a layer in um into g/m2, by its weighed mass or else by the option ``density``, g/cm3.
+
+    ``quantity_text`` names it in messages. 1 um of 1 g/cm3 weighs 1 g/m2.
+    """
     if weighed_g_m2 is None:
         return layer.times(sheet.params.of(Options).need(quantity_text, density))
     mean_um = sheet.mean(layer.values)
@@ -152,15 +152,18 @@ def coating_absorption(rays: Rays, side: Side) -> Measured:
     base_contrast = greys.base - greys.air
     contrast = (greys.coating(side) - greys.air) - base_contrast
     if side == "top":
-        lower, upper = rays.interface_top - margin_um, rays.top + margin_um
+        lower = rays.interface_top - margin_um
+        upper = rays.top + margin_um
         length_from_face = rays.top - lower
     else:
-        lower, upper = rays.bottom - margin_um, rays.interface_bottom + margin_um
+        lower = rays.bottom - margin_um
+        upper = rays.interface_bottom + margin_um
         length_from_face = upper - rays.bottom
     excess = rays.integral(lower, upper) - base_contrast * length_from_face
-    face_se = base_contrast * face_errors(rays, length_from_face - margin_um, side)
-    se = np.hypot(rays.integral_se(upper - lower), face_se) / abs(contrast)
-    return Measured(values=excess / contrast, se=se)
+    # Without the margin it is the thickness of the coating.
+    face_se = face_errors(rays, length_from_face - margin_um, side)
+    se = np.hypot(rays.integral_se(upper - lower), base_contrast * face_se)
+    return Measured(values=excess / contrast, se=se / abs(contrast))
 
 
 ray_property(
@@ -246,18 +249,23 @@ def absorption_base(rays: Rays) -> Measured:
     """
     greys = rays.greys
     sheet_absorption = _absorption(rays)
-    base_um, variance = sheet_absorption.values, sheet_absorption.se**2
+    base_um = sheet_absorption.values
+    variance = sheet_absorption.se**2
     base_contrast = greys.base - greys.air
-    thickness_um: dict[Side, Floats] = {
-        "top": rays.top - rays.interface_top,
-        "bottom": rays.interface_bottom - rays.bottom,
-    }
     for side in filter(greys.coated, SIDES):
         layer = coating_absorption(rays, side)
+        # By how much a um of coating absorbs more than a um of base does, in um of base.
         share = (greys.coating(side) - greys.air) / base_contrast - 1
-        base_um = base_um - layer.values * share - thickness_um[side]
+        base_um = base_um - layer.values * share - _coating_um(rays, side)
         variance = variance + (layer.se * share) ** 2
     return Measured(values=base_um, se=np.sqrt(variance))
+
+
+def _coating_um(rays: Rays, side: Side) -> Floats:
+    """Length of the coating of one side on each ray (rows, cols)."""
+    if side == "top":
+        return rays.top - rays.interface_top
+    return rays.interface_bottom - rays.bottom
 
 
 def _check(params: Options, greys: Greys) -> None:
@@ -302,7 +310,7 @@ def grammage(sheet: Sheet) -> Measured:
     params = sheet.params.of(Options)
     greys = sheet.frame.greys
     maps = sheet.maps
-    base_g_m2 = params.grammage_g_m2
+    base_g_m2 = params.grammage_g_m2  # less the coatings below; None: the base's density is given
     if "absorption" in _sources(params, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
     layers: list[Measured] = []
@@ -344,13 +352,12 @@ def apparent_density(sheet: Sheet) -> Measured:
     sigma = f.params.of(Options).density_support_um / FWHM
     pitch_um = float(np.sqrt(np.prod(f.pitch_um)))
     noise_share = min(1.0, pitch_um / (2 * np.sqrt(np.pi) * sigma))
-    mass, thickness = sheet.maps["grammage"], sheet.maps["thickness"]
+    mass = sheet.maps["grammage"]
+    thickness = sheet.maps["thickness"]
     # Both means are of the same rays.
-    is_measured = sheet.valid & np.isfinite(mass.values) & np.isfinite(thickness.values)
-    w, t = (
-        smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma)
-        for m in (mass, thickness)
-    )
-    relative = np.sqrt((mass.se / w) ** 2 + (thickness.se / t) ** 2) * noise_share
-    density = w / t
-    return Measured(values=np.where(is_measured, density, np.nan), se=np.abs(density) * relative)
+    is_measured = sheet.valid & np.isfinite(mass.values + thickness.values)
+    masked = (np.where(is_measured, m.values, np.nan) for m in (mass, thickness))
+    w, t = (smoothed(values, f.pitch_um, sigma) for values in masked)
+    relative_se = np.sqrt((mass.se / w) ** 2 + (thickness.se / t) ** 2) * noise_share
+    density = np.where(is_measured, w / t, np.nan)
+    return Measured(values=density, se=np.abs(density) * relative_se)

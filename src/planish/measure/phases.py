@@ -12,7 +12,7 @@ from planish.core.typing import Floats
 from planish.measure.greys import Greys
 from planish.measure.masses import Densities
 from planish.measure.options import Common
-from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
+from planish.measure.registry import SIDES, Measured, Sheet, ray_property, sheet_property
 
 if TYPE_CHECKING:
     from planish.measure.rays import Rays
@@ -56,7 +56,9 @@ def void_level(greys: Greys, params: Options) -> float:
 
 
 def _solid(params: Options, greys: Greys) -> None:
-    if params.solid_grey is not None and not (params.solid_grey - greys.base) * greys.polarity > 0:
+    if params.solid_grey is None:
+        return
+    if not (params.solid_grey - greys.base) * greys.polarity > 0:
         raise CannotMeasure(
             f"solid_grey is {params.solid_grey:g}, the base's mean grey {greys.base:.4g} and the"
             f" air's {greys.air:.4g}: a solid without voids lies beyond the base. Correct"
@@ -85,7 +87,10 @@ def porosity(rays: Rays) -> Measured:
 
 
 def share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
-    """Share of void on each ray between two places (rows, cols)."""
+    """Share of void on each ray between two places (rows, cols), um from the centre surface.
+
+    NaN where they are less than a step apart. :func:`porosity` explains both ways.
+    """
     greys = rays.greys
     options = rays.params.of(Options)
     if options.solid_grey is None:
@@ -94,16 +99,18 @@ def share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
         return Measured(values=1 - matter.values, se=matter.se)
     length = rays.span(lower, upper)
     contrast = options.solid_grey - greys.air
-    solid = rays.integral(lower, upper) / length / contrast
-    return Measured(values=1 - solid, se=rays.integral_se(length) / length / abs(contrast))
+    solid_share = rays.integral(lower, upper) / length / contrast
+    se = rays.integral_se(length) / length / abs(contrast)
+    return Measured(values=1 - solid_share, se=se)
 
 
 def _share_beyond(
     rays: Rays, lower: Floats, upper: Floats, level: float, contrast: float
 ) -> Measured:
-    """Share of what lies beyond a level between two places of each ray.
+    """Share of what lies beyond a level between two places of each ray (rows, cols), um.
 
-    NaN where they are less than a step apart.
+    NaN where they are less than a step apart. ``contrast``: step of grey at an end of such a
+    piece, which says how sure the end is.
     """
     beyond, ends = rays.beyond(lower, upper, level)
     length = rays.span(lower, upper)
@@ -118,7 +125,7 @@ def filler_level(params: Common, greys: Greys) -> float:
     filler_grey = params.of(Options).filler_grey
     if filler_grey is not None:
         return filler_grey
-    coats = [level for level in (greys.coating_top, greys.coating_bottom) if np.isfinite(level)]
+    coats = [greys.coating(side) for side in SIDES if greys.coated(side)]
     if not coats:
         raise CannotMeasure(
             "Filler needs the grey level from which on the base counts as filler: there is no"
@@ -148,7 +155,8 @@ def filler(rays: Rays) -> Measured:
     lower, upper = rays.core
     level = np.float32(filler_level(rays.params, rays.greys))
     is_within = rays.between(lower, upper)
-    is_dark = is_within & ~(rays.greys.polarity * (rays.grey - level) > 0)
+    is_bright = rays.greys.polarity * (rays.grey - level) > 0
+    is_dark = is_within & ~is_bright
     first_within, last_within = first_and_last(is_within)
     first_dark, last_dark = first_and_last(is_dark)
     # An end that is dark already, or a ray that is bright throughout, stays as it is, between two

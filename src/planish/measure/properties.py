@@ -5,6 +5,7 @@ What was taken from Hirn et al. (2009, section 2.2): coatings, base and topograp
 Further maps are worked out on row tiles on threads: the same bytes however they are cut.
 """
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -151,13 +152,14 @@ def further_maps(measured: xr.Dataset) -> list[str]:
         str(name) for name, variable in measured.data_vars.items() if "support_um" in variable.attrs
     ]
     errors = [f"{name}_se" for name in maps if f"{name}_se" in measured]
-    return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
+    return maps + [name for name in errors if measured[name].notnull().any()]
 
 
 def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
     """Add the standard error of each thickness where it is known how the faces were found.
 
-    ``noise_um`` is that of single rays; NaN for white noise.
+    As maps ``<name>_se`` in um, NaN where the thickness is, left out where no value has one.
+    ``noise_um``: variance of the grey's integral over one um of single rays; NaN for white noise.
     """
     attrs = measured.attrs
     if "voxel_um" not in attrs or not ("from_labels" in attrs or "grey_noise" in attrs):
@@ -169,9 +171,10 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
     _add_open_errors(measured, errors, common)
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
-        is_measured = np.isfinite(measured[name].values)
-        se = np.where(is_measured, errors[name], np.nan).astype(np.float32)
-        if np.isfinite(se).any():
+        is_measured = measured[name].notnull().values
+        se_um = np.where(is_measured, errors[name], np.nan)
+        if np.isfinite(se_um).any():
+            se = se_um.astype(np.float32)
             se_attrs = {"units": "um", "long_name": _se_name(PROPERTIES[name])}
             se_attrs |= {"common_um": common[name], "patch_um2": patch_um2}
             variables[f"{name}_se"] = xr.Variable(("y", "x"), se, se_attrs)
@@ -179,7 +182,12 @@ def _with_errors(measured: xr.Dataset, noise_um: float = np.nan) -> xr.Dataset:
 
 
 def _add_open_errors(measured: xr.Dataset, errors: NamedFields, common: dict[str, float]) -> None:
-    """Add what corrections and greys leave open; a wrong grey moves all columns alike."""
+    """Add what corrections and greys leave open to ``errors`` and ``common``, both in um.
+
+    The surfaces state, by side, how far off corrections may be in each column, and how far a wrong
+    grey of the walls moves each column and, as ``common_um``, all columns alike. The grey of a
+    coating moves all of its columns alike.
+    """
     level_um = 0.0
     for side in SIDES:
         coating = f"coating_{side}"
@@ -189,9 +197,9 @@ def _add_open_errors(measured: xr.Dataset, errors: NamedFields, common: dict[str
                 for name in (coating, "base_thickness", "thickness"):
                     errors[name] = np.hypot(errors[name], source_um)
                 level_um += float(measured[source].attrs.get("common_um", 0.0))
-        common[coating] = float(np.hypot(common[coating], _grey_error_um(measured, side)))
+        common[coating] = math.hypot(common[coating], _grey_error_um(measured, side))
     for name in ("base_thickness", "thickness"):
-        common[name] = float(np.hypot(common[name], level_um))
+        common[name] = math.hypot(common[name], level_um)
 
 
 def _voxel_um(measured: xr.Dataset) -> dict[str, float]:
@@ -213,7 +221,8 @@ def _errors_of_labels(measured: xr.Dataset) -> Errors:
 def _errors_of_greys(measured: xr.Dataset, noise_um: float) -> Errors:
     """Errors of faces found in grey values.
 
-    ``noise_um``: what noise moves an integral along a single ray by; NaN: it is taken for white.
+    ``noise_um``: variance of the grey's integral over one um of a single ray; NaN: it is taken for
+    white. Columns may be several voxels wide.
     """
     greys = Greys.of(measured)
     frame = Frame.of(measured)
@@ -221,7 +230,8 @@ def _errors_of_greys(measured: xr.Dataset, noise_um: float) -> Errors:
     voxel_um = _voxel_um(measured)
     through_um = voxel_um[frame.through]
     voxel_um2 = voxel_um[frame.rows] * voxel_um[frame.cols]
-    column_px = float(np.sqrt(pitch_um[0] * pitch_um[1] / voxel_um2))
+    # Voxels along the edge of a column.
+    column_px = math.sqrt(pitch_um[0] * pitch_um[1] / voxel_um2)
     shared_noise = SharedNoise.of(
         greys, voxel_um=through_um, pitch_um=pitch_um, column_px=column_px, noise_um=noise_um
     )
@@ -230,7 +240,8 @@ def _errors_of_greys(measured: xr.Dataset, noise_um: float) -> Errors:
     errors = thickness_errors(coatings_um, greys, shared_noise, cosine=cos_tilt)
     if measured.attrs.get("method") == "paper":
         # A crossing of half the step uses one place of the edge, a fit all of it.
-        crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
+        blur_px = greys.blur_um / through_um
+        crossing_factor = math.sqrt(max(1.0, math.sqrt(math.pi) * blur_px))
         errors = {name: se * crossing_factor for name, se in errors.items()}
     return errors, dict(shared_noise.common_um), shared_noise.patch_um2
 
@@ -256,7 +267,11 @@ def _se_name(long_name: str) -> str:
 def _measure_faces(
     surfaces: xr.Dataset, params: MeasureParams, further_names: Sequence[str]
 ) -> xr.Dataset:
-    """Add to the surfaces what the faces alone give, and further maps that they give as well."""
+    """Add to the surfaces what the faces alone give, and further maps that they give as well.
+
+    ``further_names``: those of ``OF_FACES`` that are wanted. All maps are in um; a column whose
+    normal does not meet all that the sheet has gets a status of its own and NaN.
+    """
     titles = PROPERTIES | {name: find_property(name).long_name for name in further_names}
     heights, faces = meet(surfaces, "normal")
     lengths_um = {name: face_length(faces, name) for name in LENGTHS}
@@ -270,14 +285,15 @@ def _measure_faces(
             " surface'."
         )
     for side in SIDES:
+        # Of a side without a coating the interface is the face.
         if faces[f"interface_{side}"] is faces[side]:
             nothing = np.full(status.shape, np.nan)
             lengths_um |= {f"coating_{side}": nothing, f"base_surface_{side}": nothing}
-    nesting_um = params.nesting_um(float(surfaces.attrs.get("cutoff_um", CUTOFF_UM)))
+    cutoff_um = float(surfaces.attrs.get("cutoff_um", CUTOFF_UM))
+    nesting_um = params.nesting_um(cutoff_um)
     names = [name for name in HEIGHTS if name not in lengths_um]
-    lengths_um |= above_form(
-        faces, heights["centre"], is_valid, pitch(surfaces), names=names, nesting_um=nesting_um
-    )
+    sheet = (faces, heights["centre"], is_valid)
+    lengths_um |= above_form(*sheet, pitch(surfaces), names=names, nesting_um=nesting_um)
     variables: dict[str, xr.Variable] = {}
     for name, long_name in titles.items():
         attrs = {"units": "um", "long_name": long_name, "role": "property"}
@@ -347,6 +363,7 @@ def measure_along_rays(
     status = frame.status.copy()
     maps: dict[str, Measured] = {}
     by_halo: dict[int, list[Property]] = {}
+    # Maps along rays, and the status, are filled in tile by tile.
     for prop in properties:
         if prop.kind == "rays":
             by_halo.setdefault(_halo(prop, frame), []).append(prop)
@@ -357,20 +374,17 @@ def measure_along_rays(
         measure_tile = partial(_measure_tile, by_halo, maps, status)
         each_tile(volume, frame, measure_tile, halo=max(by_halo), rows=rows_per_tile, engine=engine)
     sheet = Sheet(frame=replace(frame, status=status), maps=maps)
-    requested = [find_property(name) for name in names]
+    requested = [*map(find_property, names)]
     variables: dict[str, xr.Variable] = {}
     for prop in properties:
         if prop.kind == "sheet":
             maps[prop.name] = _measured(prop, sheet, status.shape)
         if prop in requested:
-            variables |= _variables(prop, maps[prop.name], status, frame)
+            variables |= _variables(prop, maps[prop.name], sheet.frame)
     flags = status_flags(last=Status.RAY_LEAVES_VOLUME)
     variables["status"] = xr.Variable(("y", "x"), status, flags)
-    attrs = surfaces.attrs | {
-        "rays": params.rays,
-        "ray_step_um": frame.step_um,
-        "ray_noise_um": frame.noise_um,
-    }
+    attrs = surfaces.attrs | {"rays": params.rays}
+    attrs |= {"ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
     return xr.Dataset(variables, coords=surfaces.coords, attrs=attrs | params.known())
 
 
@@ -382,7 +396,12 @@ def _measure_tile(
     inner_rows: slice,
     sheet_rows: slice,
 ) -> None:
-    """Measure some rows of the sheet, each property with as many rows around them as it needs."""
+    """Measure some rows of the sheet, each property with as many rows around them as it needs.
+
+    ``by_halo``: properties by the rows that they need on either side. ``maps`` and ``status``, of
+    the whole sheet, are filled in. ``tile``: the rays of the rows and around them, in which the
+    rows are ``inner_rows``; in the sheet they are ``sheet_rows``.
+    """
     status[sheet_rows] = tile.status[inner_rows]
     for halo, properties in by_halo.items():
         start = max(inner_rows.start - halo, 0)
@@ -421,7 +440,7 @@ def each_tile(
     engine = engine or Engine()
     row_count = frame.status.shape[0]
     threads = count_threads(engine.threads)
-    # a sample costs so many at most while a tile is worked on.
+    # A sample takes 24 bytes at most while a tile is worked on.
     row_bytes = frame.status.shape[1] * frame.samples * 24
     if rows is None:
         rows = int(engine.memory_bytes / 2 / threads / row_bytes) - 2 * halo
@@ -468,24 +487,22 @@ def _measured(prop: Property, rays_or_sheet: Rays | Sheet, shape: Shape) -> Meas
     return Measured(values=answer.values, se=se, reason=reason)
 
 
-def _variables(
-    prop: Property, answer: Measured, status: Codes, frame: RayFrame
-) -> dict[str, xr.Variable]:
-    """Give a property and its standard error as they are stored.
+def _variables(prop: Property, answer: Measured, frame: RayFrame) -> dict[str, xr.Variable]:
+    """Give a property and its standard error as they are stored: NaN where the status is not 0.
 
-    Also gives its status where it has reasons of its own.
+    Also gives its status where it has reasons of its own, which are numbered from ``FIRST_OWN``.
     """
     dims = ("y", "x")
     title = prop.long_name
+    status = frame.status
+    # One value speaks for a ray at least, and for what the blur mixes into it.
     ray_width_um = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
     support_um = max(length_of(prop.support_um, frame.params), ray_width_um)
     values = np.where(status == 0, answer.values, np.nan).astype(np.float32)
     se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
     attrs = {"units": prop.units, "long_name": title, "support_um": round(support_um, 3)}
     attrs |= prop.attrs
-    for name in prop.stated:
-        if getattr(frame.params, name) is not None:
-            attrs[name] = getattr(frame.params, name)
+    attrs |= frame.params.model_dump(include={*prop.stated}, exclude_none=True)
     se_attrs = {"units": prop.units, "long_name": _se_name(title)}
     variables = {
         prop.name: xr.Variable(dims, values, attrs),
@@ -493,9 +510,9 @@ def _variables(
     }
     if prop.reasons:
         has_reason = (status == 0) & (answer.reason > 0)
-        own_status = np.where(has_reason, answer.reason + np.uint8(FIRST_OWN - 1), status)
-        flags = status_flags(
-            f"Status of {title}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons
-        )
+        own_codes = answer.reason + np.uint8(FIRST_OWN - 1)
+        own_status = np.where(has_reason, own_codes, status)
+        last = Status.RAY_LEAVES_VOLUME
+        flags = status_flags(f"Status of {title}", last=last, reasons=prop.reasons)
         variables[f"{prop.name}_status"] = xr.Variable(dims, own_status, flags)
     return variables

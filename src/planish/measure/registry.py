@@ -233,6 +233,11 @@ class Property:
     #: Heights about a form, differences, angles and parts of a direction have no such zero.
     has_true_zero: bool = True
 
+    @property
+    def origin(self) -> tuple[str, str]:
+        """Module of its function, and the name there."""
+        return self.function.__module__, self.function.__qualname__
+
 
 _REGISTERED: dict[str, Property] = {}
 
@@ -276,6 +281,7 @@ sheet_property = _registers("sheet")
 
 
 def _add(added: Property) -> Property:
+    """Register a property, or those of both sides; CannotMeasure if it can not have its name."""
     if "{side}" in added.name:
         return [_add(_of_side(added, side)) for side in SIDES][-1]
     if not added.name.isidentifier():
@@ -285,13 +291,10 @@ def _add(added: Property) -> Property:
     has_axes(added.name, added.attrs.get("period_deg"))  # which refuses other periods
     old = _REGISTERED.get(added.name)
     # The same function again is a module that was loaded twice, as in a notebook.
-    if old is not None and (old.function.__module__, old.function.__qualname__) != (
-        added.function.__module__,
-        added.function.__qualname__,
-    ):
+    if old is not None and old.origin != added.origin:
         raise CannotMeasure(
             f"There is a property '{added.name}' already ({old.long_name}), of the module"
-            f" {old.function.__module__}; {added.function.__module__} gives it as well. Choose"
+            f" {old.origin[0]}; {added.origin[0]} gives it as well. Choose"
             " another name."
         )
     _REGISTERED[added.name] = added
@@ -299,6 +302,7 @@ def _add(added: Property) -> Property:
 
 
 def _of_side(template: Property, side: Side) -> Property:
+    """Make the property of one side: its name in the texts, and the side given to functions."""
     formatted = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
     bound_functions: Entries = {}
     for key in ("function", "after", "check", "when"):
@@ -415,6 +419,8 @@ def chosen(params: Common, greys: Greys) -> list[str]:
 def in_order(names: Sequence[str | Property], params: Common, greys: Greys) -> list[Property]:
     """Return the properties and all that they are made from, each after what it needs.
 
+    ``params`` and ``greys`` decide what some of them are made from.
+
     Raises
     ------
     CannotMeasure
@@ -423,6 +429,7 @@ def in_order(names: Sequence[str | Property], params: Common, greys: Greys) -> l
     ordered: dict[str, Property] = {}
 
     def visit(prop: Property, ancestors: Texts) -> None:
+        """Put a property behind those that it is made from; ``ancestors`` are made from it."""
         if prop.name in ancestors:
             path_text = " > ".join((*ancestors, prop.name))
             raise CannotMeasure(f"The property '{prop.name}' is made from itself: {path_text}.")

@@ -90,13 +90,18 @@ def straightened(
 def voxels_around(
     volume: xr.DataArray, places_um: Mapping[str, Floats]
 ) -> tuple[Array, list[Floats]]:
-    """Read the part of a volume in which places lie, and give the places in it, in voxels."""
+    """Read the part of a volume in which places lie, and give the places in it, in voxels.
+
+    ``places_um``: by axis of the volume, arrays of any one shape. Places outside the volume keep
+    their distance from the part that is read.
+    """
     indices: list[Floats] = []
     box: dict[str, slice] = {}
     for axis in map(str, volume.dims):
         coords_um = volume[axis].values
         n = coords_um.size
-        position_px = (places_um[axis] - float(coords_um[0])) / float(coords_um[1] - coords_um[0])
+        voxel_um = float(coords_um[1] - coords_um[0])
+        position_px = (places_um[axis] - float(coords_um[0])) / voxel_um
         start_px = int(np.clip(np.floor(position_px.min()), 0, n - 1))
         stop_px = int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, n))
         box[axis] = slice(start_px, stop_px)
@@ -115,6 +120,11 @@ class _Straightened(LazyArray):
         depths_um: Floats,
         frame: RayFrame,
     ) -> None:
+        """Keep what its grey values are worked out from.
+
+        ``maps``: with the places of their pixels in the volume. ``depths_um``: heights on the
+        normals at which there are samples.
+        """
         self._volume = volume
         self._depths = depths_um
         self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
@@ -147,26 +157,29 @@ class _Straightened(LazyArray):
         col_range: range,
         tile: Tile,
     ) -> None:
-        """Set the grey values of one tile of a part, (depths, rows, cols)."""
+        """Set the grey values of one tile of a part, ``grey`` (depths, rows, cols).
+
+        ``row_range``, ``col_range``: rows and columns of the maps that the part shows.
+        """
         from scipy import ndimage
 
         tile_grey = grey[:, tile.rows, tile.cols]
         tile_grey[:] = np.nan
-        rows, cols = (
-            slice(pixels.start, pixels.stop, pixels.step)
-            for pixels in (row_range[tile.rows], col_range[tile.cols])
-        )
-        place_um = {axis: places[rows, cols].values for axis, places in self._places.items()}
+        rows = row_range[tile.rows]
+        cols = col_range[tile.cols]
+        window = slice(rows.start, rows.stop, rows.step), slice(cols.start, cols.stop, cols.step)
+        place_um = {axis: places[window].values for axis, places in self._places.items()}
         frame = self._frame
         row = (place_um[frame.rows] - self._first[0]) / self._pitch[0]
         col = (place_um[frame.cols] - self._first[1]) / self._pitch[1]
+        # Of the centre surface at the place of each pixel.
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
         normal_r, normal_c, normal_h = np.moveaxis(directions(slope, "normal"), -1, 0)
         normal = {frame.rows: normal_r, frame.cols: normal_c, frame.through: frame.sign * normal_h}
         is_inside = np.isfinite([*place_um.values(), *normal.values()]).all(axis=0)
         if not is_inside.any():
             return
-        points_um: NamedFields = {}
+        points_um: NamedFields = {}  # (depths, pixels), by axis of the volume
         for axis, um in place_um.items():
             way_um = depths_um[:, None] * normal[axis][is_inside]
             points_um[axis] = um[is_inside] + way_um

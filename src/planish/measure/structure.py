@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from planish.measure.rays import Rays
 
 
-Grey3 = Singles
 _CUT = 3.0  # standard deviations of a Gaussian
 _PARTS = ("fibre_cos2", "fibre_sin2")  # an angle has no mean; its two parts do
 
@@ -72,10 +71,11 @@ _fibre_property = partial(ray_property, halo_um=_halo, support_um=_width)
 
 
 @cached
-def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
+def _gradients(rays: Rays) -> tuple[Singles, Singles, slice]:
     """Give the gradient of the samples (slice) that some base reaches.
 
-    Along rows and columns, per um of projection.
+    Along rows and columns, (rows, cols, samples) each, in grey per um of projection. Derivatives of
+    a Gaussian in the plane; a missing voxel counts as base.
     """
     from scipy import ndimage
 
@@ -84,15 +84,17 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
     gaussians: list[Floats] = []
     derivatives: list[Floats] = []
+    sigma_um = rays.params.of(Options).orientation_sigma_um
     for pitch in rays.pitch_um:
-        sigma = max((rays.params.of(Options).orientation_sigma_um or pitch) / pitch, 0.5)
+        sigma = max((sigma_um or pitch) / pitch, 0.5)  # in columns
         reach = int(np.ceil(_CUT * sigma))
         x = np.arange(-reach, reach + 1)
         gaussian = np.exp(-0.5 * (x / sigma) ** 2)
         gaussians.append(gaussian / gaussian.sum())
-        derivatives.append(x * gaussian / np.sum(x * x * gaussian) / pitch)  # 1 on a ramp
+        # So scaled, it gives the slope of a ramp.
+        derivatives.append(x * gaussian / np.sum(x * x * gaussian) / pitch)
 
-    def along(axis: int) -> Grey3:
+    def along(axis: int) -> Singles:
         smoothed = ndimage.correlate1d(grey, gaussians[1 - axis], 1 - axis, mode="nearest")
         return ndimage.correlate1d(smoothed, derivatives[axis], axis, mode="nearest")
 
@@ -103,7 +105,7 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
 def _tensor(rays: Rays, lowest: float, highest: float) -> ThreeFields:
     """Give trace, cosine part and sine part (rows, cols) of the gathered tensor.
 
-    It is gathered between two relative depths of the base.
+    It is gathered between two relative depths of the base, 0 at its bottom and 1 at its top.
     """
     # With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over
     # the layer, outside voids and the base's edges, then averaged over orientation_rho_um.
@@ -114,14 +116,16 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> ThreeFields:
     base_um = rays.interface_top - bottom
     lower, upper = rays.core
     level = void_level(rays.greys, rays.params.of(phases.Options))
-    is_inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * base_um)[..., None]
-    is_inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * base_um)[..., None]
+    first_um = np.maximum(lower, bottom + lowest * base_um)
+    end_um = np.minimum(upper, bottom + highest * base_um)
+    s_um = rays.s_um[samples]
+    is_inside = (s_um >= first_um[..., None]) & (s_um < end_um[..., None])
     is_inside &= rays.greys.polarity * (rays.grey[..., samples] - level) > 0
     factors = ((by_col, by_col), (by_row, by_row), (by_row, by_col))
     sums = [np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64) for a, b in factors]
     xx, yy, xy = _in_tangent_plane(sums, rays.slope)
     is_valid = (rays.status == 0) & np.isfinite(xx)
-    sigma = [rays.params.of(Options).orientation_rho_um / p for p in rays.pitch_um]
+    sigma = np.divide(rays.params.of(Options).orientation_rho_um, rays.pitch_um)
     parts = [np.where(is_valid, v, 0.0) for v in (xx + yy, xx - yy, 2 * xy)]
     trace, cosine, sine = (
         ndimage.gaussian_filter(part, sigma, mode="constant", truncate=_CUT) for part in parts
@@ -132,17 +136,18 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> ThreeFields:
 def _in_tangent_plane(tensor: Sequence[Floats], slope: Floats) -> ThreeFields:
     """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane.
 
-    The result is G^(-1/2) J G^(-1/2).
+    The result is G^(-1/2) J G^(-1/2): its parts xx, yy and xy (rows, cols), as they are given.
+    ``slope`` (rows, cols, 2): of the centre surface along rows and columns.
     """
     # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the
     # slope, G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
     xx, yy, xy = tensor
     q, p = np.moveaxis(slope, -1, 0)
     squared_slope = p * p + q * q
+    # (1 - cos a) over the squared slope, which is a half where there is none.
     with np.errstate(divide="ignore", invalid="ignore"):
-        shrinkage = np.where(
-            squared_slope > 0, (1 - 1 / np.sqrt(1 + squared_slope)) / squared_slope, 0.5
-        )
+        shrinkage = (1 - 1 / np.sqrt(1 + squared_slope)) / squared_slope
+    shrinkage[squared_slope == 0] = 0.5
     a, b, d = 1 - shrinkage * p * p, -shrinkage * p * q, 1 - shrinkage * q * q
     turned_xx = a * a * xx + 2 * a * b * xy + b * b * yy
     turned_yy = b * b * xx + 2 * b * d * xy + d * d * yy
@@ -286,11 +291,12 @@ def pore_chord(rays: Rays) -> Floats:
     void.
     """
     void, count = _voids(rays)
-    total = np.zeros(count.shape)
-    for k, pitch in enumerate(rays.pitch_um):
-        chord_steps = chords(void, k, max(int(rays.params.of(Options).pore_limit_um / pitch), 1))
-        total += 0.5 * chord_steps * pitch * rays.stretch[..., k]
-    return total / count
+    total_um = np.zeros(count.shape)
+    limit_um = rays.params.of(Options).pore_limit_um
+    for axis, pitch in enumerate(rays.pitch_um):
+        chord_steps = chords(void, axis, max(int(limit_um / pitch), 1))
+        total_um += 0.5 * chord_steps * pitch * rays.stretch[..., axis]
+    return total_um / count
 
 
 def distances(void: Codes, step: tuple[float, float, float], most: float) -> Singles:
@@ -328,7 +334,8 @@ def pore_diameter(rays: Rays) -> Floats:
     row_um, col_um = np.multiply(rays.pitch_um, rays.mean_stretch).tolist()
     step = (row_um, col_um, rays.step_um)
     half_step_um = 0.5 * float(np.mean(step))
-    distance = distances(void, step, 0.5 * rays.params.of(Options).pore_limit_um + half_step_um)
+    limit_um = rays.params.of(Options).pore_limit_um
+    distance = distances(void, step, 0.5 * limit_um + half_step_um)
     radius = _pore_kernels.inscribed(distance, step)
     true_radius = np.maximum(radius - half_step_um, 0.5 * half_step_um)
     diameter_um = np.where(void > 0, 2 * true_radius, 0.0)

@@ -1,5 +1,6 @@
 """Both faces and interfaces of every column, tile by tile."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 
@@ -22,7 +23,17 @@ from planish.core.typing import (
     TwoFields,
 )
 from planish.surface import _fit_kernels
-from planish.surface.columns import WALL_UM, Columns, Guide, Pitch, Priors, join_tiles, oriented
+from planish.surface.columns import (
+    WALL_UM,
+    Columns,
+    Edge,
+    Guide,
+    Pitch,
+    Priors,
+    Side,
+    join_tiles,
+    oriented,
+)
 
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
@@ -37,16 +48,12 @@ only columns with a number, and those next to them, are fitted."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faces:
-    """Faces of every column.
+    """Faces of every column."""
 
-    ``heights``: of both faces and the interfaces below them, (rows, cols) in um, NaN where nothing
-    was found; ``below_particle`` (rows, cols): columns below an attached particle; ``particles``:
-    how many particles were removed.
-    """
-
+    # Of both faces and the interfaces below them, (rows, cols) in um; NaN where nothing was found.
     heights: NamedFields
-    below_particle: Bools
-    particles: int
+    below_particle: Bools  # (rows, cols): columns below an attached particle
+    particles: int  # how many were removed
     # By side without a coating, in um: how far the face moves where the wall's grey is a little
     # off, in each column (rows, cols) and in the mean of all.
     level_errors: dict[str, tuple[Floats, float]] = field(default_factory=dict)
@@ -55,13 +62,19 @@ class Faces:
 def find_faces(
     columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int
 ) -> Faces:
-    """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
+    """Fit every column from both ends; so many ``particles`` float in the air beside the sheet.
+
+    What was fitted at first is fitted again below plates that float on the sheet, and where noise
+    hid a face. Amid other material there is no air for that. In a base of bare walls and pores a
+    fibre that stands out loosely is replaced by the next wall below it.
+    """
     depths = _fit("faces", columns, guide, priors, engine)
     if not priors.embedded_level:
         particles += _fit_below(depths, columns, guide, priors, engine)
         _fit_lost(depths, columns, guide, priors, engine)
     has_wall = [priors.sides[from_high].wall_level > 0 for from_high in (True, False)]
     for k in np.flatnonzero(has_wall):
+        # Of such a side the next wall stands in place of the thickness of a coating.
         face, next_wall = depths[2 * k : 2 * k + 2]
         # Below a fibre that stands out there is a void.
         is_loose = _loose_fibres(face, columns.pitch) & np.isfinite(next_wall)
@@ -74,7 +87,10 @@ def find_faces(
 def fit_job(
     columns: Columns, guide: Guide, priors: Priors, tile: Tile, search_depths: Floats | None = None
 ) -> FitJob:
-    """Return what the fit of a tile needs, from the guide and the depths of all columns."""
+    """Return what the fit of a tile needs, from the guide and the depths of all columns.
+
+    ``search_depths`` (2, rows, cols) as in ``FitJob``.
+    """
     if search_depths is not None:
         search_depths = search_depths[:, tile.rows, tile.cols]
     grown = priors.scale.grown(tile, columns.shape[:2])
@@ -89,7 +105,11 @@ def _fit(
     engine: Engine,
     search_depths: Floats | None = None,
 ) -> Floats:
-    """Fit all columns, or those of the tiles in which a face is looked for at a depth."""
+    """Fit all columns, or those of the tiles in which a face is looked for at a depth.
+
+    Returns what :func:`fit_tile` says of all columns; 0 or NaN where nothing was fitted. ``step``
+    names the work for the engine.
+    """
 
     def job(tile: Tile) -> FitJob:
         return fit_job(columns, guide, priors, tile, search_depths)
@@ -106,6 +126,8 @@ def _fit_below(
 ) -> int:
     """Put the face below what floats in the air in its place; return how many plates float.
 
+    ``depths`` (4 or 6, rows, cols), as :func:`fit_tile` returns them, are changed.
+
     The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the
     face is looked for again below it. Where the gap is so narrow that the coarse search saw one
     object, a plate with a step all around is tried too. Such plates are counted here; what floats
@@ -115,7 +137,7 @@ def _fit_below(
     plates = map_threads(_plates, -depths[:4:2], repeat(columns.pitch))
     for k, (plate_labels, opened) in enumerate(plates):
         in_plate = plate_labels > 0
-        coarse_face = guide.faces(columns.shape[2], from_high=k == 0)[0]
+        coarse_face, _ = guide.faces(columns.shape[2], from_high=k == 0)
         expected = np.where(in_plate, -opened, coarse_face)
         is_floating = in_plate | (expected - depths[2 * k] > _FLOATS / guide.cos_tilt)
         search_depths[k] = np.where(is_floating, expected, np.nan)
@@ -124,11 +146,12 @@ def _fit_below(
     for k, (plate_labels, _) in enumerate(plates):
         is_better = np.isfinite(search_depths[k]) & np.isfinite(depths_below[2 * k])
         # A plate floats when there is a face below most of it.
-        is_floating_plate = _is_mostly(is_better, plate_labels, int(plate_labels.max()))
+        is_floating_plate = _is_mostly(is_better, plate_labels)
         floating_count += int(np.count_nonzero(is_floating_plate))
         in_floating = is_floating_plate[plate_labels]
         is_better &= (plate_labels == 0) | in_floating
         depths[2 * k][in_floating & ~is_better] = np.nan
+        # Face, thickness, and how far the wall's grey moves the face where that is given.
         planes = [plane for plane in (2 * k, 2 * k + 1, 4 + k) if plane < len(depths)]
         depths[planes] = np.where(is_better, depths_below[planes], depths[planes])
     return floating_count
@@ -140,19 +163,21 @@ def _fit_lost(
     """Fit a coated face that was lost in noise again, from where its neighbours say.
 
     Noise just outside a face may be taken for it, and with next to no coating a face may be too
-    faint to be searched for.
+    faint to be searched for. ``depths``, as :func:`fit_tile` returns them, are changed.
     """
     search_depths = np.full((2, *depths.shape[1:]), np.nan)
     usual_px = np.zeros(2)
     for k in np.flatnonzero(priors.coated):
         around, is_lost, usual_px[k] = _lost(depths[2 * k], columns.pitch[2])
         search_depths[k] = np.where(is_lost, around, np.nan)
+    # The fit then starts where the face is expected and searches for nothing.
     known_place = replace(priors, search_px=0.0)
     fits = _fit("faces_again", columns, guide, known_place, engine, search_depths)
     for k in range(2):
         planes = slice(2 * k, 2 * k + 2)
         # What lies farther off is something else, such as the rim of a particle.
-        is_found = np.abs(fits[2 * k] - search_depths[k]) <= usual_px[k]
+        deviation_px = np.abs(fits[2 * k] - search_depths[k])
+        is_found = deviation_px <= usual_px[k]
         depths[planes] = np.where(is_found, fits[planes], depths[planes])
 
 
@@ -166,10 +191,11 @@ def faces_from_depths(
 ) -> Faces:
     """Turn depths into heights.
 
-    ``depths`` (4 or 6, rows, cols): depth of the face and thickness of the coating, counted from
-    the high end, then from the low end, in voxels, and how far either face moves with the wall's
-    grey; ``coated`` and ``cleaned`` in the same order. ``cleaned``: take off spikes and attached
-    particles; ``particles`` were removed before.
+    ``depths`` (4 or 6, rows, cols) in voxels: depth of the face and thickness of the coating,
+    counted from the high end, then from the low end, and, of a base of bare walls, how far either
+    face moves with the wall's grey. ``coated``, ``cleaned``: of the sides at the high and at the
+    low end, whether there is a coating, and whether spikes and attached particles are taken off.
+    ``particles``: how many were removed before.
     """
     first_um = float(columns.depth_um[0])
     step_um = columns.pitch[2]
@@ -182,15 +208,15 @@ def faces_from_depths(
         if len(depths) > 4:
             # The rms of neighbours: whether a wall is seen or not is chance in one column.
             off = depths[4 + k]
-            mean_square, weight = masked_gaussian(
-                off**2, np.isfinite(off), [3.0, 3.0], truncate=3.0
-            )
+            is_finite = np.isfinite(off)
+            mean_square, weight = masked_gaussian(off**2, is_finite, [3.0, 3.0], truncate=3.0)
             rms = np.sqrt(mean_square / np.maximum(weight, 1e-9))
             level_errors[side] = step_um * rms, step_um * float(np.nanmean(off))
-        particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
+        # Columns that touch at a corner are of one particle.
+        _, particle_count = ndimage.label(is_particle, np.ones((3, 3)))
+        particles += int(particle_count)
         below_particle |= is_particle
-        has_interface = np.isfinite(outer) & coated[k]
-        inner = np.where(has_interface, outer + depths[2 * k + 1], np.nan)
+        inner = outer + depths[2 * k + 1] if coated[k] else np.full_like(outer, np.nan)
         for name, depth in ((side, outer), (f"interface_{side}", inner)):
             index = columns.shape[2] - 1 - depth if k == 0 else depth
             heights[name] = first_um + step_um * index
@@ -203,9 +229,10 @@ def faces_from_depths(
 
 
 def _cleaned(outer: Floats, pitch: Pitch, is_asked: bool) -> tuple[Floats, Bools]:
-    """Give a face without spikes and attached particles, and where these are.
+    """Give a face without spikes and attached particles, and where the particles are.
 
-    As it is where that is not asked.
+    As it is where that is not asked. ``outer`` (rows, cols): depth of the face from outside, in
+    voxels; NaN where there is none, and then where a spike or a particle was.
     """
     is_finite = np.isfinite(outer)
     if not is_asked or not is_finite.any():
@@ -252,7 +279,7 @@ def _lost(face: Floats, step_um: float) -> tuple[Floats, Bools, float]:
     deviation_px = np.abs(face - around)
     usual_px = _usual_step_px(deviation_px[is_found])
     is_found &= deviation_px <= largest_step_px(deviation_px[is_found], step_um)
-    share = ndimage.uniform_filter(is_found.astype(float), _AROUND)
+    share = ndimage.uniform_filter(is_found.astype(float), _AROUND)  # of the columns around
     return around, ~is_found & (share > 0.5), usual_px
 
 
@@ -268,13 +295,17 @@ def _loose_fibres(face: Floats, pitch: Pitch) -> Bools:
     outward = filled(-face)
     rows, cols = (max(round(_SPARSE_UM / p), 1) for p in pitch[:2])
     sparse = ndimage.percentile_filter(outward[::rows, ::cols], 80.0, size=_SPARSE_AROUND)
-    upper = np.repeat(np.repeat(sparse, rows, axis=0), cols, axis=1)
+    upper = sparse.repeat(rows, axis=0).repeat(cols, axis=1)
     height = outward - upper[: face.shape[0], : face.shape[1]]
     return is_found & (height > 2.0 * mad_sd(height[is_found]))
 
 
 def _plates(outward: Floats, pitch: Pitch) -> tuple[NDArray[np.int32], Floats]:
-    """Label what stands three voxels off the face with a step all round; give the face below."""
+    """Label what stands three voxels off the face with a step all round; give the face below.
+
+    ``outward`` (rows, cols): height of the face in voxels, growing outwards; NaN where there is
+    none. The face below is given the same way; label 0 is no plate.
+    """
     is_finite = np.isfinite(outward)
     if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
@@ -284,6 +315,7 @@ def _plates(outward: Floats, pitch: Pitch) -> tuple[NDArray[np.int32], Floats]:
     # A bump, or a fibre that lies on others with its ends, has no step all around.
     widened = ndimage.grey_dilation(labels, size=(9, 9))
     ring_labels = np.where((labels == 0) & is_finite, widened, 0)
+    # Around a plate hardly a column stands out.
     is_plate = _is_mostly(top_hat < 1.5, ring_labels, count)
     return np.where(is_plate[labels], labels, 0).astype(np.int32), opened
 
@@ -296,15 +328,20 @@ def _top_hat(face: Floats, width_um: float, more: int, pitch: Pitch) -> TwoField
     """
     outward = filled(-face)
     rows, cols = (max(int(width_um / p), 1) + more for p in pitch[:2])
-    pad = min(rows, face.shape[0] - 1), min(cols, face.shape[1] - 1)
-    padded = np.pad(outward, [(n, n) for n in pad], mode="reflect", reflect_type="odd")
-    within = tuple(slice(n, n + m) for n, m in zip(pad, face.shape, strict=True))
-    opened = ndimage.grey_opening(padded, size=(rows, cols))[within]
+    pad_rows = min(rows, face.shape[0] - 1)
+    pad_cols = min(cols, face.shape[1] - 1)
+    borders = [(pad_rows, pad_rows), (pad_cols, pad_cols)]
+    padded = np.pad(outward, borders, mode="reflect", reflect_type="odd")
+    opened = ndimage.grey_opening(padded, size=(rows, cols))[pad_rows:, pad_cols:]
+    opened = opened[: face.shape[0], : face.shape[1]]
     return outward - opened, opened
 
 
-def _is_mostly(mask: Bools, labels: NDArray[np.integer], count: int) -> Bools:
-    """Tell of each label if most of its columns are in the mask; not of 0."""
+def _is_mostly(mask: Bools, labels: NDArray[np.integer], count: int = 0) -> Bools:
+    """Tell of each label, up to ``count`` at least, if most of its columns are in the mask.
+
+    Not of 0. Both are (rows, cols).
+    """
     flat_labels = labels.ravel()
     column_count = np.bincount(flat_labels, minlength=count + 1)
     mask_count = np.bincount(flat_labels, mask.ravel(), count + 1)
@@ -327,8 +364,9 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
     looked_for = priors
     margin_px = priors.search_px
     if search_depths is not None:
-        margin_px = 1.0
+        margin_px = 1.0  # what lies outside has been taken for the face before
         if priors.search_px > 0:
+            # As amid other material, the face is sought next to its depth.
             looked_for = replace(priors, embedded_level=0.5 * priors.base_level)
     depths = np.zeros((_planes(priors), *tile.shape))
     for k, from_high in enumerate((True, False)):
@@ -350,17 +388,18 @@ def fit_tile(job: FitJob, tile: Tile) -> Floats:
 def _wall_depths(grey: Singles, start: Floats, stop: Floats, wall_level: float) -> ThreeFields:
     """Depth of the first wall, of the next one below a void, and how far the grey moves the first.
 
-    ``grey`` (rows, cols, depth) is read from outside.
+    Each (rows, cols), in voxels from outside; NaN for none. ``grey`` (rows, cols, depth) is read
+    from outside, from ``start`` to ``stop`` (rows, cols).
     """
     level = 0.5 * wall_level
-    face, outwards, inwards = (
-        outermost_crossing(grey, start, stop, level * (1.0 + doubt))
-        for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)
-    )
-    below_first = first_where(grey <= level, np.ceil(filled(face))).astype(float)
-    next_wall = outermost_crossing(grey, below_first, stop, level)
+    face = outermost_crossing(grey, start, stop, level)
+    below_first = first_where(grey <= level, np.ceil(filled(face)))
+    next_wall = outermost_crossing(grey, below_first.astype(float), stop, level)
+    outwards = outermost_crossing(grey, start, stop, level * (1.0 - _LEVEL_DOUBT))
+    inwards = outermost_crossing(grey, start, stop, level * (1.0 + _LEVEL_DOUBT))
     # Where the next wall is taken for this one the face moves far to one side alone.
-    return face, next_wall, np.sqrt(0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2))
+    square = 0.5 * ((inwards - face) ** 2 + (face - outwards) ** 2)
+    return face, next_wall, np.sqrt(square)
 
 
 def fit_side(
@@ -375,25 +414,37 @@ def fit_side(
     ``grey`` (rows, cols, depth) as stored; ``expected``: depth of the outer and of the opposite
     face, counted from the end that is read from, and cosine of the tilt.
     """
-    side, edge = priors.sides[from_high], priors.edge
-    layers = side.level, side.spread, side.coated
+    limits = priors.scatter, priors.search_px, priors.embedded_level, columns.pitch[2]
+    side = priors.sides[from_high]
+    return fit_columns(grey, expected, side, priors.edge, limits, reverse=from_high)
+
+
+def fit_columns(
+    grey: Singles,
+    expected: Sequence[Floats],
+    side: Side,
+    edge: Edge,
+    limits: tuple[float, float, float, float],
+    *,
+    window: float = 0.0,
+    reverse: bool = False,
+) -> Floats:
+    """Fit the layers of one side; the result and the first two arguments as of :func:`fit_side`.
+
+    ``limits``: as in :class:`Priors`, scatter, search_px and embedded_level, then the size of a
+    voxel along the columns in um. ``window``: width of the blur after which the samples that are
+    fitted are chosen; 0 takes that of the edge. ``reverse``: whether the columns are read from
+    their far end.
+    """
+    scatter, search_px, embedded_level, voxel_um = limits
     fit = np.empty((5, *grey.shape[:2]))
+    layers = side.level, side.spread, side.coated
+    fringe = embedded_level, edge.fringe or None, edge.ratio
+    below = side.wall_below, WALL_UM / voxel_um
+    places = map(np.ascontiguousarray, expected)
+    blur = 0.0, edge.width, scatter  # the level of the air, which is that of the scale, before it
     _fit_kernels.fit_faces(
-        grey,
-        *map(np.ascontiguousarray, expected),
-        0.0,
-        edge.width,
-        priors.scatter,
-        *layers,
-        priors.search_px,
-        fit,
-        0.0,
-        priors.embedded_level,
-        edge.fringe or None,
-        edge.ratio,
-        from_high,
-        side.wall_below,
-        WALL_UM / columns.pitch[2],
+        grey, *places, *blur, *layers, search_px, fit, window, *fringe, reverse, *below
     )
     return fit
 
@@ -407,11 +458,12 @@ def outermost_crossing(
 ) -> Floats:
     """Depth (...) at which ``grey`` (..., depth), read from outside, first passes level.
 
-    NaN for nowhere.
+    NaN for nowhere, which is also where ``start`` or ``stop`` (...), in voxels, is.
     """
     depth_count = grey.shape[-1]
-    first = np.where(np.isfinite(start), np.maximum(np.floor(start), 1), depth_count)
-    inside = first_where(grey > level, first)
+    # A place of the depth itself lies beyond the column.
+    first = np.where(np.isfinite(start), np.floor(start), depth_count)
+    inside = first_where(grey > level, np.maximum(first, 1))
     is_found = inside <= np.minimum(stop, depth_count - 1)
     outside = np.where(is_found, inside - 1, 0)
     return np.where(is_found, outside + crossing(grey, outside, level), np.nan)
@@ -424,7 +476,8 @@ def first_where(mask: Bools, start: Array) -> Ints:
     """
     depth = mask.shape[-1]
     candidates = mask & (np.arange(depth) >= start[..., None])
-    return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), depth)
+    is_found = candidates.any(axis=-1)
+    return np.where(is_found, candidates.argmax(axis=-1), depth)
 
 
 def crossing(grey: NDArray[np.floating], first_sample: Ints, level: float) -> Floats:

@@ -12,16 +12,8 @@ from planish.core.robust import mad_sd
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile
 from planish.core.typing import Floats, Ints, Singles
-from planish.surface import _fit_kernels
-from planish.surface.columns import (
-    WALL_UM,
-    Columns,
-    Edge,
-    GreyScale,
-    Guide,
-    Side,
-    oriented,
-)
+from planish.surface.columns import Columns, Edge, GreyScale, Guide, Side, oriented
+from planish.surface.faces import fit_columns
 from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
@@ -33,16 +25,13 @@ _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts f
 
 
 class Sample(NamedTuple):
-    """Columns read from one end, as one row.
+    """Columns read from one end, as one row."""
 
-    They are (1, n, depth), with (1, n) expected faces, tilt and number of the row.
-    """
-
-    grey: Singles
-    outer: Floats
-    opposite: Floats
-    cos_tilt: Floats
-    row: Ints
+    grey: Singles  # (1, n, depth), above the air, from outside to inside
+    outer: Floats  # (1, n), expected depth of the face at that end, in voxels
+    opposite: Floats  # (1, n), of the other face
+    cos_tilt: Floats  # (1, n), cosine of the sheet's tilt
+    row: Ints  # (1, n), number of the sampled row
 
     def thinned(self, every: int) -> Sample:
         """Return every so-many-th column."""
@@ -73,8 +62,11 @@ class Sampler:
         self.scale = GreyScale(air_grey=survey.air_grey, polarity=survey.polarity)
         pitch = columns.pitch
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
-        self.search_px = 2.0 + 1.5 * survey.coarse.block * max(pitch[:2]) / pitch[2]
-        self.voxel_noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air_grey) + 1e-9)
+        block_um = survey.coarse.block * max(pitch[:2])
+        self.search_px = 2.0 + 1.5 * block_um / pitch[2]
+        # A scan without noise has a little all the same.
+        least_noise = 1e-6 * abs(survey.air_grey) + 1e-9
+        self.voxel_noise = max(survey.noise / columns.step, least_noise)
         self.scatter = self.single_noise = self.noise = self.voxel_noise
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
         row_indices = subsample(np.flatnonzero(has_sheet.any(axis=1)), 24)
@@ -82,8 +74,8 @@ class Sampler:
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next,
         # multiples of the golden section.
         start_shares = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
-        col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int).tolist()
-        starts = zip(row_indices.tolist(), col_starts, strict=True)
+        col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int)
+        starts = zip(row_indices.tolist(), col_starts.tolist(), strict=True)
         self.rows = [Tile(r, r + 1, c, c + col_count) for r, c in starts]
         self.cache: dict[float, dict[Tile, Singles]] = {}  # grey of the rows, by the blending
 
@@ -105,28 +97,28 @@ class Sampler:
         return np.ascontiguousarray(grey[:, ::-1]) if from_high else grey
 
     def sample(self, *, from_high: bool) -> Sample:
-        """Columns read from one end; VolumeError if none shows both faces."""
-        columns_per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
+        """Columns read from one end; VolumeError if none shows both faces.
+
+        Some 3000 in all, as many of each sampled row and spread over it.
+        """
+        columns_per_row = max(1, 3000 // len(self.rows))
         row_samples: list[Sample] = []
         for row_number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
-            outer, opposite = (
-                a[0] for a in guide.faces(self.columns.shape[2], from_high=from_high)
-            )
-            columns = subsample(
-                np.flatnonzero(np.isfinite(outer) & np.isfinite(opposite)), columns_per_row
-            )
+            faces = guide.faces(self.columns.shape[2], from_high=from_high)
+            outer, opposite = np.concatenate(faces)
+            has_faces = np.isfinite(outer) & np.isfinite(opposite)
+            columns = subsample(np.flatnonzero(has_faces), columns_per_row)
             if columns.size:
-                row = np.full(columns.size, row_number)
                 grey = self._read(tile, from_high=from_high)[columns]
-                row_samples.append(
-                    Sample(grey, outer[columns], opposite[columns], guide.cos_tilt[0, columns], row)
-                )
+                expected = outer[columns], opposite[columns], guide.cos_tilt[0, columns]
+                row_samples.append(Sample(grey, *expected, np.full(columns.size, row_number)))
         if not row_samples:
             raise VolumeError(
                 "No column of the volume shows both faces of the sheet. Check `through`."
             )
-        return Sample(*(np.concatenate(arrays)[None] for arrays in zip(*row_samples, strict=True)))
+        joined = map(np.concatenate, zip(*row_samples, strict=True))
+        return Sample(*(array[None] for array in joined))
 
     def samples(self) -> Samples:
         """Columns read from either end."""
@@ -157,14 +149,16 @@ class Sampler:
                 self.noise = self._air_noise()
         elif (cnr := step / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
-            quiet_sd, seen_sd = np.array([_QUIET, _SEEN]) / cnr / (2 * np.sqrt(np.pi))
+            gain_per_column = 2 * np.sqrt(np.pi)
+            quiet_sd, seen_sd = np.array([_QUIET, _SEEN]) / cnr / gain_per_column
             blend_sd = min(quiet_sd, 1.5, max(seen_sd, widest))
             if blend_sd >= _LEAST_BLEND:
                 self._blend(blend_sd)
-                self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
+                self.noise /= max(1.0, gain_per_column * blend_sd)
         # What rounding to whole numbers takes off, and no column is a staircase to within a
         # hundredth of its contrast.
-        rounding_sd = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
+        is_rounded = np.issubdtype(self.columns.volume.dtype, np.integer)
+        rounding_sd = 12.0**-0.5 if is_rounded else 0.0
         self.scatter = max(self.noise, rounding_sd, 0.01 * step)
 
     def _air_noise(self) -> float:
@@ -179,9 +173,10 @@ class Sampler:
         for tile in self.rows:
             for from_high in (True, False):
                 grey = self._read(tile, from_high=from_high)
-                outer = self.guide.part(tile).faces(grey.shape[1], from_high=from_high)[0][0]
-                search_start = np.where(np.isfinite(outer), outer - self.search_px, -1.0)
+                outer, _ = self.guide.part(tile).faces(grey.shape[1], from_high=from_high)
+                search_start = np.nan_to_num(outer[0] - self.search_px, nan=-1.0)
                 first_index = search_start.astype(int) - width_px
+                # At two distances from the face; a start below 0 lies outside the column.
                 for start_index in (first_index, first_index - width_px):
                     columns = np.flatnonzero(start_index >= 0)
                     air_samples.append(grey[columns, start_index[columns]])
@@ -190,11 +185,13 @@ class Sampler:
     def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours.
 
-        They are averaged as far as the sheet's slope does not widen the blur.
+        They are averaged as far as the sheet's slope does not widen the blur, whose standard
+        deviation is ``width`` voxels. The samples as they are where that is no farther than now.
         """
         slope = np.hypot(self.guide.slope_r, self.guide.slope_c)
         steep_slope = float(np.nanpercentile(slope, 90)) * self.columns.step
-        blend_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3))  # columns
+        # In columns: within one of them the sheet rises by less than a third of the blur.
+        blend_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3))
         previous_sd = self.scale.blend_sd
         if blend_sd <= max(previous_sd, 0.3):
             return samples
@@ -204,26 +201,12 @@ class Sampler:
         return quiet_samples
 
     def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Floats:
-        """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
-        fits = np.empty((5, *sample.outer.shape))
-        layers = side.level, side.spread, side.coated
-        _fit_kernels.fit_faces(
-            *map(np.ascontiguousarray, sample[:4]),
-            0.0,
-            edge.width,
-            self.scatter,
-            *layers,
-            self.search_px,
-            fits,
-            window,
-            self.embedded_level,
-            edge.fringe or None,
-            edge.ratio,
-            False,
-            side.wall_below,
-            WALL_UM / self.columns.pitch[2],
-        )
-        return fits
+        """Fit every column: (5, 1, n) face, thickness, both greys and cost.
+
+        As :func:`planish.surface.faces.fit_columns`, which explains ``window``.
+        """
+        limits = self.scatter, self.search_px, self.embedded_level, self.columns.pitch[2]
+        return fit_columns(sample.grey, sample[1:4], side, edge, limits, window=window)
 
 
 def cost_limit(cost: Floats) -> float:
@@ -233,4 +216,6 @@ def cost_limit(cost: Floats) -> float:
     worse must still show.
     """
     finite_costs = cost[np.isfinite(cost)]
-    return max(_ASTRAY, 4.0 * float(np.median(finite_costs))) if finite_costs.size else _ASTRAY
+    if not finite_costs.size:
+        return _ASTRAY
+    return max(_ASTRAY, 4.0 * float(np.median(finite_costs)))
