@@ -132,6 +132,19 @@ def test_a_right_spacing_passes():
     assert check.sentence.startswith("The marks imply a voxel spacing along z that is ")
 
 
+def test_marks_without_any_error_imply_the_stated_spacing():
+    """One volume linked to itself: no error is left, and a flat sheet hardly changes with scale."""
+    seen = sheet(slope=0.02)
+    flat, at, _ = marks(seen, 16)
+    scales, places = places_when_scaled(seen, flat, at)
+    information = np.geomspace(0.1, 10, len(at))[:, None, None] * np.eye(2)
+    for size in (1, 20):
+        pairs = Pairs(moving=size * at, fixed=size * at, information=information)
+        found = find_through_scale(scales, size * places, pairs, mirrored=False)
+        assert (found.scale, found.evidence) == (1.0, pytest.approx(0, abs=1e-6))
+        assert found.error < 0.01
+
+
 def test_a_stretch_that_explains_the_marks_better_than_any_spacing_is_no_fault_of_it():
     found, check = checked(sheet(), linear=[[1.04, 0], [0, 1]])
     assert check.state != "fail"

@@ -750,6 +750,20 @@ def test_slices_with_different_tags_are_refused(tmp_path):
     )
 
 
+@pytest.mark.parametrize("memory_bytes", [None, 1], ids=["read at once", "left in the files"])
+def test_png_slices_with_different_tags_are_refused(memory_bytes, tmp_path):
+    tags = Image.Exif()
+    tags[274] = 6
+    for i, page in enumerate(LETTERS):
+        Image.fromarray(page).save(tmp_path / f"s{i:03}.png")
+    if memory_bytes:
+        memory_bytes = 3 * LETTERS[0].nbytes
+    assert read_volume(tmp_path, voxel_um=1, memory_bytes=memory_bytes).shape == LETTERS.shape
+    Image.fromarray(LETTERS[4]).save(tmp_path / "s004.png", exif=tags)
+    words = "s004.png has the orientation tag 6, s000.png 1"
+    refused(VolumeError, words, read_volume, tmp_path, voxel_um=1, memory_bytes=memory_bytes)
+
+
 def test_directions_in_one_plane_say_nothing(tmp_path):
     path = nrrd_file(
         tmp_path / "v.nrrd",

@@ -98,6 +98,26 @@ def test_a_bend_is_found_by_the_spline_and_every_run_is_the_same():
     )
 
 
+def test_mutual_information_gives_the_same_bytes_with_any_number_of_threads():
+    true = constant(6.0, -4.0)
+    settings = {
+        "pixel_um": (PIXEL, PIXEL),
+        "fit": marks_fit(),
+        "options": RefineOptions(metric="mutual information"),
+    }
+    maps_and_mask = maps(true, 5)
+    before = itk.ProcessObject.GetGlobalDefaultNumberOfThreads()
+    transforms = set()
+    try:
+        for count in (1, 4):
+            itk.ProcessObject.SetGlobalDefaultNumberOfThreads(count)
+            transforms.add(refine(*maps_and_mask, **settings).transform)
+            assert itk.ProcessObject.GetGlobalDefaultNumberOfThreads() == count
+    finally:
+        itk.ProcessObject.SetGlobalDefaultNumberOfThreads(before)
+    assert len({(t.linear, t.source, t.target) for t in transforms}) == 1
+
+
 def test_the_spline_is_that_of_the_library():
     rng = np.random.default_rng(4)
     made = itk.BSplineTransformInitializer(itk.Image([40, 30], itk.sitkFloat64), [3, 2], 3)

@@ -4,10 +4,12 @@ import math
 import sys
 from collections.abc import Callable
 from functools import partial
+from io import SEEK_CUR, BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from PIL import Image
 from tifffile import PHOTOMETRIC
 
 from planish.core.errors import SizeError, VolumeError
@@ -173,11 +175,11 @@ def _slice_header(file: Path) -> SliceHeader:
     format_name = kind_of(file)
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
+            if format_name == "png":
+                stream = _png_without_pixels(stream)
             image = PLUGINS[format_name](stream)
-            # Pillow decodes a PNG to look for the tag behind its pixels: the key is without it.
-            orientation = 1
-            if format_name == "jpeg":
-                orientation = image.getexif().get(274, 1)
+            # Pillow's own PNG class decodes the pixels to look for tags behind them.
+            orientation = Image.Image.getexif(image).get(274, 1)
             key = (format_name, image.size, image.mode, image.info.get("dpi"), orientation)
             return SliceHeader(key, np.dtype(np.uint8))
     with open_series(file) as (tif, series), reading(file):
@@ -194,6 +196,18 @@ def _slice_header(file: Path) -> SliceHeader:
             return SliceHeader(key, dtype, series.dataoffset)
         strip_rows = page.tilelength if page.is_tiled else page.rowsperstrip
         return SliceHeader(key, dtype, strip_rows=strip_rows)
+
+
+def _png_without_pixels(stream: BinaryIO) -> BytesIO:
+    """Copy a PNG file but for its pixels: tags may stand before and behind them."""
+    parts = [stream.read(8)]  # the signature
+    while head := stream.read(8):
+        n_bytes = int.from_bytes(head[:4], "big") + 4  # with a checksum
+        if head[4:] == b"IDAT":
+            stream.seek(n_bytes, SEEK_CUR)
+        else:
+            parts += [head, stream.read(n_bytes)]
+    return BytesIO(b"".join(parts))
 
 
 def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> Array:

@@ -6,7 +6,10 @@ It is optional, and bounded by what the marks allow.
 import importlib
 import math
 import warnings
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +27,7 @@ from planish.register.result import FittedTransform
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
 _STEPS = 100
+_THREADS_CHANGED = Lock()  # the library has one number of threads for all of its searches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -334,7 +338,8 @@ def _search(
         )
     search.SetInitialTransform(transform, True)
     try:
-        search.Execute(images[0], images[1])
+        with _one_thread(itk):
+            search.Execute(images[0], images[1])
     except RuntimeError as fault:
         reason_text = str(fault).strip().rsplit("\n", 1)[-1]
         raise CannotRegister(
@@ -342,6 +347,23 @@ def _search(
             " same places, or keep the marks only."
         ) from fault
     return _transform_um(itk, transform, unit_um, first_um)
+
+
+@contextmanager
+def _one_thread(itk: Any) -> Generator[None]:
+    """Let the library work in one thread, and afterwards in as many as before.
+
+    Mutual information sums up in the order in which threads end, whatever number the search itself
+    is given: the last digits change from run to run, and with the processors.
+    """
+    settings = itk.ProcessObject
+    with _THREADS_CHANGED:
+        count = settings.GetGlobalDefaultNumberOfThreads()
+        settings.SetGlobalDefaultNumberOfThreads(1)
+        try:
+            yield
+        finally:
+            settings.SetGlobalDefaultNumberOfThreads(count)
 
 
 def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affine | FreeForm:

@@ -144,12 +144,17 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
     """
     if len(target) <= _LEAST:
         return 0.0
-    covariance = np.linalg.inv(precision)
     evidences: list[float] = []
     for k in range(len(target)):
         mark_rows = np.delete(np.arange(len(target)), k)
-        equations = np.delete(np.arange(2 * len(target)), [2 * k, 2 * k + 1])
-        reduced_precision = np.linalg.inv(covariance[np.ix_(equations, equations)])
+        left_out = np.array([2 * k, 2 * k + 1])
+        equations = np.delete(np.arange(2 * len(target)), left_out)
+        # Inverse of the covariance of the others, from the precision of all. Two inversions of
+        # the whole matrix would lose more digits than marks without any error leave it.
+        shared = precision[np.ix_(equations, left_out)]
+        own_precision = precision[np.ix_(left_out, left_out)]
+        others_precision = precision[np.ix_(equations, equations)]
+        reduced_precision = others_precision - shared @ np.linalg.solve(own_precision, shared.T)
         _, misfit = _solved(designs[:, mark_rows], target[mark_rows], reduced_precision)
         evidences.append(float(misfit[one_index] - misfit.min()))
     return min(evidences)
@@ -180,8 +185,10 @@ def _solved(
     projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
     parameters = solved(normal, projections)
-    explained = np.sum(projections * parameters, axis=1)
-    return parameters, np.maximum(white_target @ white_target - explained, 0.0)
+    # The rest itself, not the difference of two sums of squares, of which marks without any error
+    # leave rounding alone.
+    rest = white_target - (columns @ parameters[..., None])[..., 0]
+    return parameters, np.sum(rest**2, axis=1)
 
 
 def _precisions(
@@ -215,8 +222,13 @@ def _precisions(
     precision_pairs: list[Floats] = []
     for field_covariance, variance in product([0.0 * squares, *field_covariances], variances):
         marks_covariance = variance * (noise + on_both_axes(field_covariance))
-        covariances = np.stack([marks_covariance, marks_covariance + strains @ strains.T])
-        precisions = np.linalg.inv(covariances)
+        marks_precision = np.linalg.inv(marks_covariance)
+        # Inverse with the strain, by Woodbury's identity: where marks have hardly an error, the
+        # strain is so much larger that an inversion of the sum is not positive definite.
+        strained = marks_precision @ strains
+        inner = np.eye(2) + strains.T @ strained
+        strain_precision = marks_precision - strained @ np.linalg.solve(inner, strained.T)
+        precisions = np.stack([marks_precision, strain_precision])
         _, (misfit_left,) = _solved(free[None], target, precisions[1])
         log_determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1]
         log_determinants -= np.linalg.slogdet(precisions[1])[1]
