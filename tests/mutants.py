@@ -276,14 +276,14 @@ MUTANTS = [
     # marks
     Mutant(
         "marks/hole_criteria.py",
-        "(x <= right - radius)",
-        "(x <= right + radius)",
+        "x <= right - radius",
+        "x <= right + radius",
         "marks/test_find.py",
     ),
     Mutant(
         "marks/hole_criteria.py",
-        "return marks[:, k.OUTSIDE] - marks[:, k.INSIDE]",
-        "return marks[:, k.INSIDE] - marks[:, k.OUTSIDE]",
+        "return marks.outside - marks.inside",
+        "return marks.inside - marks.outside",
         "marks/test_find.py",
     ),
     Mutant(
@@ -306,8 +306,8 @@ MUTANTS = [
     ),
     Mutant(
         "marks/rims.py",
-        "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]",
-        "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]",
+        "y += dy\n        radius = fit[0]",
+        "y -= dy\n        radius = fit[0]",
         "marks/test_find.py",
     ),
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
