@@ -72,15 +72,14 @@ def paired_difference(
         on_one_grid(maps[0], m, pixel_um)
     is_valid = valid_in_all(maps)
     old_a, old_b, new_a, new_b = (m[is_valid] for m in maps)
+    # Of both pairs, and the difference without an interval where nothing can be claimed.
     r = (pearson(old_a, old_b), pearson(new_a, new_b))
     without_interval = Difference(r=r, difference=r[1] - r[0])
     if not all(1 - v * v >= 1e-14 for v in r):
         return without_interval
     maps = [standard(m, is_valid) for m in maps]
-    old_scores, new_scores = (
-        influence_on_r(x, y, v) / (1 - v * v)
-        for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
-    )
+    old_scores = _influence_on_z(maps[0], maps[1], r[0])
+    new_scores = _influence_on_z(maps[2], maps[3], r[1])
     lags = Lags(is_valid, pixel)
     products = lags.own_products(new_scores - old_scores)
     if not products[0, 0] > 0:  # the same pair twice
@@ -93,14 +92,25 @@ def paired_difference(
     return _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
 
 
+def _influence_on_z(x: Floats, y: Floats, r: float) -> Floats:
+    """What each pixel of two standardised maps adds to Fisher's z of their correlation."""
+    return influence_on_r(x, y, r) / (1 - r * r)
+
+
 def _gaussian_variance(maps: Sequence[Floats], r: Pair, lags: Lags) -> float:
-    """Variance of the difference of z that Gaussian maps of these covariances would have."""
+    """Variance of the difference of z that Gaussian maps of these covariances would have.
+
+    The four standardised maps are those of the first pair, whose z is taken off, and of the second
+    one. To the first order z of a pair is a sum of products of its maps with these weights.
+    """
     terms: list[tuple[int, int, float]] = []
-    for sign, pair_r, a in ((-1.0, r[0], 0), (1.0, r[1], 2)):
+    for a, pair_r, sign in zip((0, 2), r, (-1.0, 1.0), strict=True):
         b = a + 1
         weight = sign / (1 - pair_r * pair_r)
         weight_of_squares = -weight * pair_r / 2
-        terms += [(a, b, weight), (a, a, weight_of_squares), (b, b, weight_of_squares)]
+        terms.append((a, b, weight))
+        terms.append((a, a, weight_of_squares))
+        terms.append((b, b, weight_of_squares))
     return variance_of_products(maps, terms, lags)
 
 
@@ -144,9 +154,11 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
 
 
 def _difference(r: Pair, width: float) -> Difference:
+    """The difference whose z has an interval of this half width, brought back to r."""
     first_z, second_z = np.arctanh(r)
     z_mean = (first_z + second_z) / 2
-    half_changes = np.divide(around(second_z - first_z, width), 2)
+    changes = around(second_z - first_z, width)
+    half_changes = np.divide(changes, 2)
     interval = np.tanh(z_mean + half_changes) - np.tanh(z_mean - half_changes)
     return Difference(r=r, difference=r[1] - r[0], interval=pair_of(interval))
 

@@ -50,6 +50,9 @@ def weighed_regression(
 ) -> WeighedRegression:
     """Explain a response by predictors with the weights that a covariance of residuals gives.
 
+    Response and each of the k predictors are maps (rows, cols) with values where ``is_valid``, in
+    pixels of ``pixel_um`` along y and x; a constant is fitted with them.
+
     Raises
     ------
     CannotMeasure
@@ -60,9 +63,11 @@ def weighed_regression(
     Aitken (1936), Proc. Roy. Soc. Edinb. 55, 42, doi:10.1017/S0370164600014346.
     """
     solve = _Inverse(is_valid, pixel_um, covariance)
-    values = np.stack([m[is_valid] for m in predictors], axis=1)
+    columns = [m[is_valid] for m in predictors]
+    values = np.stack(columns, axis=1)
     spread = values.std(axis=0)
     n, k = values.shape
+    # Standardised, so that conjugate gradients meet numbers of one size.
     standardised = (values - values.mean(axis=0)) / spread
     x = np.concatenate([np.ones((n, 1)), standardised], axis=1)
     y = response[is_valid]
@@ -70,9 +75,12 @@ def weighed_regression(
     inverse = np.linalg.inv(x.T @ weighed)
     coefficients = inverse @ (weighed.T @ y)
     residuals = y - x @ coefficients
-    variance = (residuals @ solve(residuals)) / (n - k - 1)
+    squares = residuals @ solve(residuals)
+    variance = squares / (n - k - 1)
     errors = np.sqrt(variance * np.diag(inverse))
-    return WeighedRegression(plain=coefficients[1:] / spread, standard_errors=errors[1:] / spread)
+    # The constant stands first.
+    plain = coefficients[1:] / spread
+    return WeighedRegression(plain=plain, standard_errors=errors[1:] / spread)
 
 
 class _Inverse:
@@ -80,12 +88,15 @@ class _Inverse:
 
     def __init__(self, is_valid: Bools, pixel_um: Pair, covariance: ExponentialCovariance) -> None:
         self._is_valid = is_valid
+        # Padded by the field itself: no cell meets another one around the border.
         size = padded_shape(is_valid.shape, is_valid.shape)
         y_um, x_um = wrapped_lags_um(size, pixel_um)
-        power = np.asarray(fft.rfft2(covariance(np.hypot(y_um[:, None], x_um)))).real
+        distance_um = np.hypot(y_um[:, None], x_um)
+        power = np.asarray(fft.rfft2(covariance(distance_um))).real
         self._product = self._convolution(power, size)
         least = _LEAST_POWER * power.max()
-        self._guess = self._convolution(1 / np.maximum(power, least), size)
+        inverse_power = 1 / np.maximum(power, least)
+        self._guess = self._convolution(inverse_power, size)
 
     def __call__(self, values: Floats) -> Floats:
         """Apply the inverse; CannotMeasure where it is not found."""
@@ -108,7 +119,8 @@ class _Inverse:
         def convolve(values: Floats) -> Floats:
             placed = np.zeros(size)
             placed[:rows, :cols][is_valid] = np.ravel(values)
-            product = np.asarray(fft.irfft2(fft.rfft2(placed) * power, size))
+            spectrum = fft.rfft2(placed) * power
+            product = np.asarray(fft.irfft2(spectrum, size))
             return product[:rows, :cols][is_valid]
 
         return linalg.LinearOperator((n, n), convolve, dtype=float)

@@ -4,6 +4,7 @@ Grey as reflectance, and without a print's halftone screen.
 """
 
 import math
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -91,6 +92,9 @@ def image_facts(params: ImageParams, light: LightFacts | None = None) -> ImageFa
     quantity = "grey value, uncalibrated" if params.dark_grey is None else "reflectance"
     if light is not None:
         quantity = light.quantity
+    sigma_um = None
+    if screen_um is not None:
+        sigma_um = SCREEN_SIGMA * screen_um
     return ImageFacts(
         quantity=quantity,
         gamma=params.gamma,
@@ -99,7 +103,7 @@ def image_facts(params: ImageParams, light: LightFacts | None = None) -> ImageFa
         white_grey=params.white_grey,
         screen_um=screen_um,
         reach_um=reach_um(params) or None,
-        sigma_um=None if screen_um is None else SCREEN_SIGMA * screen_um,
+        sigma_um=sigma_um,
     )
 
 
@@ -135,13 +139,14 @@ def compared_image(
     title = str(image.attrs.get("long_name", "Image"))
     more: dict[str, object] = {}
     if params.dark_grey is not None and params.white_grey is not None:
-        scale = image.attrs.get("full_scale")
-        dark, white = linear_grey([params.dark_grey, params.white_grey], params.gamma, scale)
+        references = [params.dark_grey, params.white_grey]
+        dark, white = linear_grey(references, params.gamma, image.attrs.get("full_scale"))
         values = (values - np.float32(dark)) / np.float32(white - dark)
         _, comma, channel = title.replace(", uncalibrated", "").partition(", ")
         title = f"Reflectance{comma}{channel}"
     if params.screen_um is not None:
-        pixel = pair_of(np.asarray(image.attrs["pixel_um"], dtype=np.float64))
+        stated_um = np.asarray(image.attrs["pixel_um"], dtype=np.float64)
+        pixel = pair_of(stated_um)
         sigma_um = SCREEN_SIGMA * params.screen_um
         values = without_screen(values, pixel_um=pixel, sigma_um=sigma_um, mask=mask)
         title = f"{title}, without its screen"
@@ -216,14 +221,14 @@ def without_screen(
 def smooth(
     values: Array, weight: Array, is_valid: Bools, sigma: list[float], *, truncate: float
 ) -> NDArray[np.floating[Any]]:
-    """Gaussian mean (sigma in pixels) over known values, which are 0 elsewhere.
+    """Gaussian mean over known values (rows, cols), which are 0 elsewhere.
 
-    NaN where nothing is known.
+    ``weight`` is 1 where a value is known and 0 elsewhere, ``sigma`` in pixels along y and x, and
+    ``truncate`` how many of them the Gaussian reaches. NaN where ``is_valid`` is false.
     """
-    total, full = (
-        ndimage.gaussian_filter(m, sigma, mode="constant", truncate=truncate)
-        for m in (values, weight)
-    )
+    gaussian = partial(ndimage.gaussian_filter, sigma=sigma, mode="constant", truncate=truncate)
+    total = gaussian(values)
+    full = gaussian(weight)
     return np.divide(total, full, out=np.full_like(total, np.nan), where=is_valid)
 
 

@@ -172,13 +172,18 @@ class Lag:
 
     def scaled(self, factor: float) -> Lag:
         """The same with lengths that are larger by a factor."""
+        field = self.field
+        if field is not None:
+            field = field.scaled(factor)
+        pixel_um = np.multiply(factor, self.pixel_um)
+        lag_um = np.multiply(factor, self.lag_um)
         return replace(
             self,
             reach_um=factor * self.reach_um,
-            pixel_um=pair_of(np.multiply(factor, self.pixel_um)),
-            lag_um=pair_of(np.multiply(factor, self.lag_um)),
+            pixel_um=pair_of(pixel_um),
+            lag_um=pair_of(lag_um),
             covariance_um2=factor**2 * self.covariance_um2,
-            field=None if self.field is None else self.field.scaled(factor),
+            field=field,
         )
 
     def check(self, expected_error_um: float | None = None) -> Check:
@@ -206,8 +211,9 @@ class Lag:
         judge = partial(Check, name=NAME, value=length, limit=limit_um, units="um")
         judge = partial(judge, figures=(POSITION, CORRELATION))
         if length <= limit_um:
-            is_vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
-            verdict = "agrees, but is less certain than the marks" if is_vague else "agrees"
+            verdict = "agrees"
+            if math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um):
+                verdict += ", but is less certain than the marks"
             return judge(state="pass", sentence=f"B{offset}, {expected}: {verdict}.")
         excess = f"more than the marks allow ({expected})"
         if length <= 3.0 * length_error:
@@ -237,9 +243,8 @@ class Lag:
         tiles: list[LagTile] = []
         if field is not None:
             tile_um = field.tile_um
-            for (x, y), lag, distinct in zip(
-                field.at_um, field.lag_um, field.distinct, strict=True
-            ):
+            rows = zip(field.at_um, field.lag_um, field.distinct, strict=True)
+            for (x, y), lag, distinct in rows:
                 tiles.append(LagTile(x=x, y=y, lag_um=pair_of(lag), distinct=distinct))
         of_run: Entries = {
             "property": property_name,
@@ -312,8 +317,10 @@ def texture_lag(  # noqa: PLR0911
     allowed = within(reach)
     limit = search.limit(reach)
     above = allowed & (search.height > limit)
-    peak = find_peak(search.share, above if above.any() else allowed)
-    r_at_zero = math.sqrt(max(search.share[no_lag], 0))
+    is_above = above.any()
+    peak = find_peak(search.share, above if is_above else allowed)
+    share_at_zero = max(search.share[no_lag], 0)
+    r_at_zero = math.sqrt(share_at_zero)
     lag = build_lag(reason="texture", limit_r=math.sqrt(limit), r_at_zero=r_at_zero)
     if peak is None:
         return lag
@@ -321,8 +328,9 @@ def texture_lag(  # noqa: PLR0911
     n_first = len(halves[0])
     fitted = np.tensordot(weights[:n_first], x[:n_first], 1)
     sign = np.vdot(fitted, texture.maps[first[0]])
-    lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
-    if not above.any():
+    multiple_r = math.sqrt(max(peak.r, 0.0))
+    lag = replace(lag, r=math.copysign(multiple_r, sign))
+    if not is_above:
         return lag
     if not peak.inner:
         return replace(lag, reason="border")
@@ -332,9 +340,11 @@ def texture_lag(  # noqa: PLR0911
     lag = _located(lag, search, peak, halves_of_slopes=n_slopes)
     if tiles_um is None or not lag.distinct:
         return lag
-    unrelated = PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))
+    surrogates = PhaseSurrogate(y, texture.known)
+    unrelated = surrogates.draws(19, np.random.default_rng(20090501))
+    all_fitted = np.tensordot(weights, x, 1)
     field_of_lags = lag_field(
-        np.tensordot(weights, x, 1),
+        all_fitted,
         y,
         texture.known,
         pixel,
@@ -363,11 +373,18 @@ def _reach_px(texture: Textures, reach_um: float) -> Shape2D:
 
 def _have_texture(texture: Textures, names: Sequence[str]) -> bool:
     """Whether enough pixels are known, and each of some maps is there and varies."""
-    return texture.n >= 400 and all(k in texture.maps and texture.maps[k].any() for k in names)
+    if texture.n < 400:
+        return False
+    return all(k in texture.maps and texture.maps[k].any() for k in names)
 
 
 def _located(lag: Lag, search: LagSearch, peak: Peak, *, halves_of_slopes: int) -> Lag:
-    """The lag with its place and covariance, or why it locates nothing; and the share of light."""
+    """The lag with its place and covariance, or why it locates nothing; and the share of light.
+
+    The last ``halves_of_slopes`` maps of the search are slopes of the face in two halves each: the
+    share of what is explained that needs them is that of light from one side. The place is that of
+    the peak between the pixels, (x, y) as the search has (row, column).
+    """
     unsure: Reason = "texture"
     if halves_of_slopes:
         unsure = "light"
@@ -376,8 +393,10 @@ def _located(lag: Lag, search: LagSearch, peak: Peak, *, halves_of_slopes: int) 
     step_um = np.array(lag.pixel_um[::-1])
     covariance_px2 = search.covariance(peak, lag.pixel_um)[::-1, ::-1]
     covariance = covariance_px2 * np.outer(step_um, step_um)
-    covariance += (0.1 * max(lag.pixel_um)) ** 2 * np.eye(2)  # what is lost between the pixels
-    if not math.sqrt(np.linalg.eigvalsh(covariance)[-1]) < lag.reach_um / 4:
+    between_pixels_um = 0.1 * max(lag.pixel_um)  # error of the place of a summit between pixels
+    covariance += between_pixels_um**2 * np.eye(2)
+    largest_variance = np.linalg.eigvalsh(covariance)[-1]
+    if not math.sqrt(largest_variance) < lag.reach_um / 4:
         return replace(lag, reason=unsure)
     lag_um = pair_of(peak.summit_px[::-1] * step_um)
     return replace(lag, reason=None, lag_um=lag_um, covariance_um2=covariance)

@@ -18,7 +18,7 @@ from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import NULL, DescribedModel, Value
 from planish.core.grid import Grid, shorter_side_um
 from planish.core.numbers import in_words
-from planish.core.typing import Pixel
+from planish.core.typing import Pixel, pair_of
 
 # Sigma of the Gaussian that halves a wave, over its length.
 _HALF = math.sqrt(math.log(2.0) / 2) / math.pi
@@ -111,7 +111,8 @@ def print_mottle(
     # Of longer waves a field has too few.
     most_um = 0.2 * shorter_side_um(image.shape, pixel)
     limit_um = most_um if longest_um is None else longest_um
-    holds_octave = least_um <= shortest_um < math.inf and 2 * shortest_um <= limit_um * (1 + 1e-9)
+    is_wave = least_um <= shortest_um < math.inf
+    holds_octave = is_wave and 2 * shortest_um <= limit_um * (1 + 1e-9)
     if not (holds_octave and limit_um <= most_um * (1 + 1e-9)):
         raise SizeError(
             f"No octave lies between waves of {shortest_um:g} and {limit_um:g} um: this image shows"
@@ -131,14 +132,16 @@ def print_mottle(
     values = np.where(is_valid, image - mean, 0.0)
     weight = is_valid.astype(np.float64)
     bands: list[MottleBand] = []
-    fine = np.zeros(0)
+    fine = np.zeros(0)  # the mean of shorter waves; nothing before the first one
     for edge_um in edges:
         sigma = [_HALF * edge_um / p for p in pixel]
         coarse = smooth(values, weight, is_valid, sigma, truncate=4.0)[is_valid]
         if fine.size:
             cov = (fine - coarse).std() / _OCTAVE / mean
-            band = {"shortest_um": edge_um / 2, "longest_um": edge_um}
-            bands.append(MottleBand(**band, coefficient_of_variation=cov))
+            band = MottleBand(
+                shortest_um=edge_um / 2, longest_um=edge_um, coefficient_of_variation=cov
+            )
+            bands.append(band)
         fine = coarse
     n = int(np.count_nonzero(is_valid))
     measured = (
@@ -166,8 +169,9 @@ def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
     grid = Grid.of(data)
     # Means over up to 15 um keep 0.99 of the shortest waves.
     factor = max(1, int(15.0 / max(grid.pixel_um)))
-    (image,) = common_means([data["image"]], (factor, factor), masks=[data["valid"]])
-    cell_um = grid.pixel_um[0] * factor, grid.pixel_um[1] * factor
+    masks = [data["valid"]]
+    (image,) = common_means([data["image"]], (factor, factor), masks=masks)
+    cell_um = pair_of(np.multiply(grid.pixel_um, factor))
     try:
         mottle = print_mottle(image, pixel_um=cell_um, quantity=quantity)
     except PlanishError as error:

@@ -102,8 +102,8 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     starts = (np.unique(np.rint(quarters_um / step)).astype(int) for step in pixel)
     known_r: list[float] = []
     for down, across in product(*starts):
-        shifted = (x[down:, across:], b[down:, across:])
-        r = correlate(*shifted, pixel_um=pixel, point_um=point_um).r
+        part = np.s_[down:, across:]
+        r = correlate(x[part], b[part], pixel_um=pixel, point_um=point_um).r
         if not math.isnan(r):
             known_r.append(r)
     if not known_r:
@@ -111,7 +111,8 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
             f"No grid of points of {point_um:g} um fits into the map. Give smaller points."
         )
     mean_r = float(np.mean(known_r))
-    return Origins(r=mean_r, least=min(known_r), largest=max(known_r), count=len(known_r))
+    largest_r = max(known_r)
+    return Origins(r=mean_r, least=min(known_r), largest=largest_r, count=len(known_r))
 
 
 def of_short_waves(
@@ -158,7 +159,8 @@ def of_short_waves(
     short: list[Floats] = []
     for values in filled(is_valid, (a, b), np.nan):
         centred = values - np.mean(values[is_valid])
-        short.append(centred - low_pass_known(centred, is_valid, longest, pixel))
+        long_waves = low_pass_known(centred, is_valid, longest, pixel)
+        short.append(centred - long_waves)
     return correlate(*short, pixel_um=pixel, point_um=point_um), longest
 
 
@@ -251,21 +253,25 @@ def commonality(b: Array, parts: Mapping[str, Array]) -> dict[str, float]:
     check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()
     columns = {name: standard(m, is_valid)[is_valid] for name, m in parts.items()}
-    if np.linalg.cond(np.stack(list(columns.values()), axis=1)) > 1e6:
+    x = np.stack([*columns.values()], axis=1)
+    if np.linalg.cond(x) > 1e6:
         raise InputError(
             "One of the maps is the sum of others. Leave the sum, or one of its parts, out."
         )
+    # Share of the variance that some maps explain together.
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
     for chosen in _subsets(names):
         residual = _left_of(y, [columns[name] for name in chosen])
-        explained[frozenset(chosen)] = float(1.0 - residual @ residual / (y @ y))
+        share_left = residual @ residual / (y @ y)
+        explained[frozenset(chosen)] = float(1.0 - share_left)
     shares: dict[str, float] = {}
     for chosen in _subsets(names):
         other_names = frozenset(names).difference(chosen)
         # What is gained by these maps over the others, counted in and out.
         share = -explained[other_names]
         for subset in _subsets(chosen):
-            share -= (-1) ** len(subset) * explained[other_names.union(subset)]
+            sign = (-1) ** len(subset)
+            share -= sign * explained[other_names.union(subset)]
         shares[" and ".join(chosen)] = share
     return shares
 
@@ -307,13 +313,15 @@ def _check_beside(sheet_maps: xr.Dataset, covariates: Sequence[str]) -> None:
 
 
 def _constant_maps(maps: Mapping[str, Floats], is_valid: Bools) -> list[str]:
+    """Names of the maps that are constant over the valid points."""
     return [name for name, m in maps.items() if not np.ptp(m[is_valid]) > 0]
 
 
 def answer_partial(pair: ComparedMaps) -> Entries:
-    """Partial correlation and commonality over the larger points.
+    """Partial correlation and commonality over the larger points, of a sheet with an image.
 
-    InputError where the sheet lacks a map for them.
+    What stands beside the headline map are the maps that the study names. Where the points are too
+    few or too small for it, the answer is the reason. InputError where the sheet lacks a map.
     """
     sheet_maps, image_maps = pair.layers
     covariates = pair.params.beside
@@ -330,19 +338,21 @@ def answer_partial(pair: ComparedMaps) -> Entries:
         over_control=tuple(parts),
         over_control_parts=tuple(parts.values()),
     )
+    # From the pixels, as all of the maps count where all are known.
     factor = square_px(point_um, pair.grid.pixel_um)
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel."
         return {"partial": partial_of(reason=reason)}
     names = (pair.a[1], *covariates)
     maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]
-    *sheet_points, image_points = common_means(
-        maps, factor, masks=(sheet_maps["valid"], image_maps["valid"])
-    )
-    is_valid = np.isfinite(image_points)  # all maps count where all are known
+    masks = (sheet_maps["valid"], image_maps["valid"])
+    *sheet_points, image_points = common_means(maps, factor, masks=masks)
+    is_valid = np.isfinite(image_points)
     n = int(np.count_nonzero(is_valid))
     points = dict(zip(names, sheet_points, strict=True))
-    flat_maps = [*points] if n < LEAST else _constant_maps(points, is_valid)
+    flat_maps = [*points]
+    if n >= LEAST:
+        flat_maps = _constant_maps(points, is_valid)
     if flat_maps:
         reason = (
             f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."

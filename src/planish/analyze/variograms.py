@@ -96,12 +96,17 @@ def variogram(a: Array, *, pixel_um: Pixel, md_deg: float | None = None) -> Vari
 
 
 def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
-    """The same from the lags of a mask of known pixels, which several maps may share."""
+    """The same from the lags of a mask of known pixels, which several maps may share.
+
+    Map (rows, cols); machine direction clockwise from the x axis, None where it is not known.
+    """
     check_varying(lags.is_valid, a=a)
     products = lags.own_products(a)
     # What the mean took is known from the lags that are used, and put back at all lags.
-    sill = lags.covariance(products, lags.until_zero(products))[0, 0]
-    products = products + (sill - products[0, 0] / lags.n) * lags.pairs
+    covariances = lags.covariance(products, lags.until_zero(products))
+    sill = covariances[0, 0]
+    mean_took = sill - products[0, 0] / lags.n
+    products = products + mean_took * lags.pairs
     distance, covariance = _by_ring(lags, products, lags.inside)
     if distance.size < _LEAST_RINGS:
         raise CannotMeasure(
@@ -109,28 +114,27 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None) -> Variogram:
             " Give a larger map."
         )
     shared = min(_at_zero(distance, covariance, max(lags.pixel_um)), sill)
-    range_along_um = range_across_um = math.nan
+    of_directions: Entries = {}
     if md_deg is not None:
         down_um, across_um = lags.lag_um
         from_md = np.degrees(np.arctan2(down_um[:, None], across_um)) - md_deg
-        range_along_um, range_across_um = (
-            _range(*_by_ring(lags, products, _is_near_axis(from_axis)), shared)
-            for from_axis in (from_md, from_md - 90)
-        )
-    ratio = math.nan
-    if math.isfinite(range_along_um) and math.isfinite(range_across_um):
-        ratio = range_along_um / range_across_um
+        ranges_um: list[float] = []
+        for from_axis in (from_md, from_md - 90):
+            rings = _by_ring(lags, products, _is_near_axis(from_axis))
+            ranges_um.append(_range(*rings, shared))
+        along_um, across_um = ranges_um
+        of_directions = {"md_deg": md_deg, "range_along_um": along_um, "range_across_um": across_um}
+        if np.isfinite(ranges_um).all():
+            of_directions["ratio"] = along_um / across_um
+    values = sill - covariance
     return Variogram(
         cell_um=lags.pixel_um,
         nugget=sill - shared,
         sill=sill,
         range_um=_range(distance, covariance, shared),
-        md_deg=math.nan if md_deg is None else md_deg,
-        range_along_um=range_along_um,
-        range_across_um=range_across_um,
-        ratio=ratio,
         distances_um=tuple(distance.tolist()),
-        values=tuple((sill - covariance).tolist()),
+        values=tuple(values.tolist()),
+        **of_directions,
     )
 
 
@@ -140,28 +144,29 @@ def _is_near_axis(angle_deg: Floats) -> Bools:
 
 
 def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats]:
-    """Mean distance and covariance of rings one pixel wide.
+    """Mean distance and covariance of rings one pixel wide, up to half of the shorter side.
 
-    Lag 0 is left out.
+    ``products`` are the sums over all pairs at a lag, ``is_used`` the lags that count, both in the
+    order of ``lags.pairs``. Lag 0 and rings without pairs are left out.
     """
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
     side_um = shorter_side_um(lags.is_valid.shape, lags.pixel_um)
-    is_in_reach = is_used & lags.inside & (lags.pairs > 0)
-    is_in_reach &= (ring >= 1) & (lags.distance_um <= side_um / 2)
-    ring_numbers = ring[is_in_reach]
-    pairs, distance_sums, total = (
-        np.bincount(ring_numbers, weights=m[is_in_reach])
-        for m in (lags.pairs, lags.pairs * lags.distance_um, products)
-    )
-    has_pairs = pairs > 0
-    return distance_sums[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs]
+    is_counted = is_used & lags.inside & (lags.pairs > 0)
+    is_counted &= ring >= 1
+    is_counted &= lags.distance_um <= side_um / 2
+    ring_numbers = ring[is_counted]
+    maps = (lags.pairs, lags.pairs * lags.distance_um, products)
+    sums = np.array([np.bincount(ring_numbers, weights=m[is_counted]) for m in maps])
+    pairs, distance_sums, totals = sums[:, sums[0] > 0]
+    return distance_sums / pairs, totals / pairs
 
 
 def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     """Covariance towards distance 0: the variance that neighbours share.
 
-    0 where they share nothing.
+    0 where they share nothing. ``distance`` and ``covariance`` are those of the rings from the
+    first on, ``step`` the width of a ring, in um.
     """
     if covariance[0] <= 0:
         return 0.0
@@ -177,8 +182,10 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
         return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
 
     farthest = h[-1]
-    start = np.array([1.1, math.log(max(farthest / 2, step)), 1.3])
-    # From the exponential to the Gaussian covariance.
+    likely_reach = max(farthest / 2, step)
+    start = np.array([1.1, math.log(likely_reach), 1.3])
+    # Share at distance 0, log of the reach, and exponent: from the exponential to the Gaussian
+    # covariance.
     least = [0.0, math.log(step / 20), 1.0]
     most = [np.inf, math.log(1e3 * farthest), 2.0]
     fit = optimize.least_squares(off, start, bounds=(least, most))
@@ -186,16 +193,20 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
 
 
 def _range(distance: Floats, covariance: Floats, shared: float) -> float:
-    """Distance at which the covariance first falls below 1/e of what neighbours share."""
+    """Distance at which the covariance first falls below 1/e of what neighbours share.
+
+    NaN where they share nothing, infinite where it does not fall so far.
+    """
     if not shared > 0:
         return math.nan
     h = np.concatenate([[0.0], distance])
     c = np.concatenate([[1.0], covariance / shared])
-    below = np.flatnonzero(c < math.exp(-1))
+    limit = math.exp(-1)
+    below = np.flatnonzero(c < limit)
     if not below.size:
         return math.inf
     bracket = slice(below[0] - 1, below[0] + 1)  # over which -c rises
-    return np.interp(-math.exp(-1), -c[bracket], h[bracket])
+    return np.interp(-limit, -c[bracket], h[bracket])
 
 
 def answer_variograms(pair: ComparedMaps) -> Entries:
@@ -213,14 +224,14 @@ def answer_variograms(pair: ComparedMaps) -> Entries:
         # At up to 60 distances, closer for short ones.
         rings = np.geomspace(1, len(curve.values), 60).round().astype(np.intp)
         thinned = itemgetter(*(np.unique(rings) - 1))
-        curves.append(
-            Variogram.holding(
-                curve,
-                layer=layer,
-                map=name,
-                units=units,
-                distances_um=thinned(curve.distances_um),
-                values=thinned(curve.values),
-            )
+        distances_um = thinned(curve.distances_um)
+        row = Variogram.holding(
+            curve,
+            layer=layer,
+            map=name,
+            units=units,
+            distances_um=distances_um,
+            values=thinned(curve.values),
         )
+        curves.append(row)
     return {"variograms": tuple(curves)}
