@@ -31,7 +31,7 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import NULL, DescribedModel, Interval, Trust, Value
 from planish.core.grid import Grid
 from planish.core.text import and_join
-from planish.core.typing import Array, Floats, Ints
+from planish.core.typing import Array, Entries, Floats, Ints
 from planish.measure.registry import NEGATIVE_CONTROLS, SUMS, shared_parts
 from planish.texture.covariance import Lags
 
@@ -218,9 +218,8 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     columns = [response]
     for name, values in maps.predictors.items():
         columns += columns_of(name, values)
-    cells_by_size = means_over_cells(
-        columns, maps.masks, pixel_um=maps.grid.pixel_um, sizes_um=sizes_um
-    )
+    pixel_um = maps.grid.pixel_um
+    cells_by_size = means_over_cells(columns, maps.masks, pixel_um=pixel_um, sizes_um=sizes_um)
     means_by_size = dict(zip(sizes_um, cells_by_size, strict=True))
     cells = _Cells.of(columns, means_by_size.pop(cell_um), cell_um)
     _refuse_sums(cells)
@@ -233,6 +232,9 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     model = _bearable(cells, errors if corrected else None)
     curve = _variogram_of_residuals(cells, model)
     coefficients = _coefficients(cells, model, errors, curve, corrected=corrected)
+    names = [*maps.predictors]
+    controls = [name for name in names if bare_name(name) in NEGATIVE_CONTROLS]
+    shared_errors = sharings_of(cells.names, errors[:-1, :-1])
     rows = [_row_of(cells, model)]
     for size_um, means in means_by_size.items():
         rows.append(_size_row(_Cells.of(columns, means, size_um)))
@@ -241,7 +243,7 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         response=response.name,
         title=response.title,
         units=response.units,
-        of=tuple(maps.predictors),
+        of=tuple(names),
         cell_um=cell_um,
         corrected=corrected,
         n=cells.lags.n,
@@ -251,9 +253,9 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         shared=model.r2 - model.unique.sum(),
         coefficients=coefficients,
         sizes=tuple(rows),
-        shared_errors=sharings_of(cells.names, errors[:-1, :-1]),
-        shared_parts=_parts_in_common([*maps.predictors], maps.sheet),
-        controls=tuple(name for name in maps.predictors if bare_name(name) in NEGATIVE_CONTROLS),
+        shared_errors=shared_errors,
+        shared_parts=_parts_in_common(names, maps.sheet),
+        controls=tuple(controls),
         cells=_dataset(cells, model, maps.grid),
         **_of_residuals(cells, curve),
         **_lead_of(model),
@@ -263,7 +265,8 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
 def _cell_sizes(grid: Grid, cell_um: float) -> list[float]:
     """Edges of the cells of the curve, from a pixel to the field; SizeError for one beyond."""
     pixel_um = max(grid.pixel_um)
-    field_um = np.multiply(grid.shape, grid.pixel_um).min()
+    sides_um = np.multiply(grid.shape, grid.pixel_um)
+    field_um = sides_um.min()
     least_um = pixel_um * (1 - 1e-9)
     if not least_um <= cell_um <= field_um:
         raise SizeError(
@@ -325,16 +328,20 @@ class _Cells:
 
 
 def _refuse_sums(cells: _Cells) -> None:
-    """Raise InputError where a map of a model is a sum of predictors; the message names it."""
+    """Raise InputError where a map of a model is a sum of predictors; the message names it.
+
+    Cells without a model are not looked at: the reason is another one.
+    """
     if cells.fault:
         return
-    values = np.stack([m[cells.lags.is_valid] for m in cells.maps], axis=1)
+    columns = [m[cells.lags.is_valid] for m in cells.maps]
+    values = np.stack(columns, axis=1)
     values = (values - values.mean(axis=0)) / values.std(axis=0)
     names = [column.name for column in cells.columns]
     sums = {row[0] for row in SUMS}
-    # A sum goes before its parts, and the response is the last.
-    order = sorted(range(len(names)), key=lambda k: (k == 0, names[k] not in sums))
-    for index in order:
+    # A sum goes before its parts, and the response, which is column 0, is the last.
+    predictors = sorted(range(1, len(names)), key=lambda k: names[k] not in sums)
+    for index in (*predictors, 0):
         parts = [names[k] for k in _parts_of(values, index)]
         if not parts:
             continue
@@ -350,24 +357,35 @@ def _refuse_sums(cells: _Cells) -> None:
 
 
 def _parts_of(values: Floats, index: int) -> Ints:
-    """Numbers of the predictors that a column of standardised cells is a sum of; none mostly."""
+    """Numbers of the predictors that a column of standardised cells is a sum of; none mostly.
+
+    ``values`` (cells, columns) have the response in column 0.
+    """
     numbers = np.arange(1, values.shape[1])
     predictors = numbers[numbers != index]
-    weights = np.linalg.lstsq(values[:, predictors], values[:, index], rcond=None)[0]
-    residual = values[:, index] - values[:, predictors] @ weights
+    column = values[:, index]
+    other_columns = values[:, predictors]
+    weights = np.linalg.lstsq(other_columns, column, rcond=None)[0]
+    residual = column - other_columns @ weights
     is_sum = residual @ residual * _IS_SUM <= residual.size
     return predictors[is_sum & (np.abs(weights) > 1e-3)]
 
 
 def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
-    """The model, where there are enough independent cells for its coefficients."""
+    """The model, where there are enough independent cells for its coefficients.
+
+    ``errors`` (k + 1, k + 1) are those that are taken off; None for a model as the maps are.
+    CannotMeasure where the coefficient with the fewest independent cells has too few.
+    """
     model = cells.fit(errors)
     k = len(cells.names)
-    fewest = int(np.argmin(np.nan_to_num(model.n_eff)))
+    n_of_coefficients = np.nan_to_num(model.n_eff)
+    fewest = int(np.argmin(n_of_coefficients))
     n_eff = model.n_eff[fewest]
-    if n_eff >= LEAST_CLAIMED * k:
+    least = LEAST_CLAIMED * k
+    if n_eff >= least:
         return model
-    factor = LEAST_CLAIMED * k / max(n_eff, 1.0)
+    factor = least / max(n_eff, 1.0)
     help_text = f"a field of {factor:.1f} times the area"
     if k > 1:
         help_text += f", or a model without {cells.names[fewest]}, which has the fewest"
@@ -381,7 +399,14 @@ def _bearable(cells: _Cells, errors: Floats | None) -> Regression:
 def _coefficients(
     cells: _Cells, model: Regression, errors: Floats, curve: Variogram | None, *, corrected: bool
 ) -> dict[str, Coefficient]:
-    """State each coefficient, and beside it those of ranks, of weights and of the errors."""
+    """State each coefficient, and beside it those of ranks, of weights and of the errors.
+
+    ``errors`` (k + 1, k + 1) is the covariance of the stated errors, the response last; ``curve``
+    is the variogram of the residuals, None where there is none. Each figure has k values. Weights
+    by the residuals' covariance are for a model without correction alone.
+    """
+    rank_model = cells.ranked().fit()
+    weighed = _weighed(cells, model, None if corrected else curve)
     figures: dict[str, Sequence[Any] | Array] = {
         "standardised": model.standardised,
         "interval": model.standardised_intervals,
@@ -393,14 +418,15 @@ def _coefficients(
         "p_of_set": holm(model.p.tolist()),
         "vif": model.vif,
         "unique": model.unique,
-        "rank": cells.ranked().fit().standardised,
-        "weighed": _weighed(cells, model, None if corrected else curve),
+        "rank": rank_model.standardised,
+        "weighed": weighed,
         "by_errors": _added_by_errors(cells, model, errors, corrected=corrected),
     }
     coefficients: dict[str, Coefficient] = {}
     for index, column in enumerate(cells.columns[1:]):
-        of_column = {name: values[index] for name, values in figures.items()}
-        coefficients[column.name] = Coefficient(title=column.title, units=column.units, **of_column)
+        of_column: Entries = {name: values[index] for name, values in figures.items()}
+        of_column |= {"title": column.title, "units": column.units}
+        coefficients[column.name] = Coefficient(**of_column)
     return coefficients
 
 
@@ -415,7 +441,8 @@ def _added_by_errors(
         other_model = cells.fit(None if corrected else errors)
     except CannotMeasure:
         return unknown
-    return (model.plain - other_model.plain) * (-1.0 if corrected else 1.0)
+    difference = model.plain - other_model.plain
+    return -difference if corrected else difference
 
 
 def _weighed(cells: _Cells, model: Regression, curve: Variogram | None) -> Floats:
@@ -424,9 +451,10 @@ def _weighed(cells: _Cells, model: Regression, curve: Variogram | None) -> Float
     if curve is None:
         return unknown
     lags = cells.lags
+    response, *predictors = cells.maps
     try:
         weighed = weighed_regression(
-            cells.maps[0], cells.maps[1:], lags.is_valid, lags.pixel_um, covariance_of(curve)
+            response, predictors, lags.is_valid, lags.pixel_um, covariance_of(curve)
         )
     except CannotMeasure:
         return unknown
@@ -456,9 +484,12 @@ def _of_residuals(cells: _Cells, curve: Variogram | None) -> dict[str, Any]:
         return {
             "reason": "No R2 out of sample: the field is too small to show how far residuals reach."
         }
-    range_um = curve.range_um if math.isfinite(curve.range_um) else 0.0
+    range_um = 0.0
+    if math.isfinite(curve.range_um):
+        range_um = curve.range_um
     block_um = max(_LEFT * range_um, cells.cell_um)
-    r2_out = out_of_sample_r2(cells.maps[0], cells.maps[1:], cells.lags, block_um=block_um)
+    response, *predictors = cells.maps
+    r2_out = out_of_sample_r2(response, predictors, cells.lags, block_um=block_um)
     reason = ""
     if math.isnan(r2_out):
         reason = (
@@ -476,13 +507,14 @@ def _size_row(cells: _Cells) -> CellSizeRow:
 
 
 def _row_of(cells: _Cells, model: Regression) -> CellSizeRow:
+    intervals = model.standardised_intervals.tolist()
     return CellSizeRow(
         cell_um=cells.cell_um,
         n=cells.lags.n,
         n_eff=model.n_eff.min(),
         r2=model.r2,
         standardised=dict(zip(cells.names, model.standardised, strict=True)),
-        intervals=dict(zip(cells.names, model.standardised_intervals.tolist(), strict=True)),
+        intervals=dict(zip(cells.names, intervals, strict=True)),
     )
 
 
@@ -497,13 +529,18 @@ def covariance_of(curve: Variogram) -> ExponentialCovariance:
 def _parts_in_common(names: Sequence[str], sheet: xr.Dataset) -> tuple[SharedPart, ...]:
     shared: list[SharedPart] = []
     for a, b in combinations(names, 2):
-        if parts := shared_parts(bare_name(a), bare_name(b), sheet):
+        parts = shared_parts(bare_name(a), bare_name(b), sheet)
+        if parts:
             shared.append(SharedPart(a=a, b=b, parts=parts))
     return tuple(shared)
 
 
 def _dataset(cells: _Cells, model: Regression, grid: Grid) -> xr.Dataset:
-    """The cells of a model, as they go into a table and into figures."""
+    """The cells of a model, as they go into a table and into figures.
+
+    Dataset (cell_y, cell_x) in um of the grid: the means of response and predictors, the residual,
+    and each predictor freed of the others; NaN where a cell does not count.
+    """
     response, *predictors = cells.columns
     freed = [replace(column, name=f"{column.name} freed") for column in predictors]
     columns = [*cells.columns, replace(response, name="residual"), *freed]

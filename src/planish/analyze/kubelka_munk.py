@@ -131,16 +131,19 @@ def fit_kubelka_munk(
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
     ratio = float(absorption_over_scattering)
-    n_level = n_slope if n_eff_level is None else float(n_eff_level)
+    n_level = n_slope
+    if n_eff_level is not None:
+        n_level = float(n_eff_level)
     _check_layer(xs, ys, ratio, n_level)
     x_mean = xs.mean()
+    level_share = min(n_level / n_slope, 1.0)
     # S times the mean of x is about 1, as the backing is.
-    fit = _Fit(xs / x_mean, ys, ratio, math.sqrt(min(n_level / n_slope, 1.0)))
+    fit = _Fit(xs / x_mean, ys, ratio, math.sqrt(level_share))
     best = fit.best()
     sum_of_squares = fit.squares(*best)
     rms = math.sqrt(sum_of_squares / xs.size)
-    total_squares = np.sum((ys - ys.mean()) ** 2)
-    if best[0] <= 1e-6 or sum_of_squares >= total_squares * (1 - 1e-9):
+    squares_without_layer = np.sum((ys - ys.mean()) ** 2)
+    if best[0] <= 1e-6 or sum_of_squares >= squares_without_layer * (1 - 1e-9):
         raise CannotMeasure(
             f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not"
             " rise with x as it would. Look at the straight line; give absorption_over_scattering"
@@ -152,9 +155,10 @@ def fit_kubelka_munk(
         limit = sum_of_squares * (1 + t_95(free) ** 2 / free)
         intervals = [fit.interval(k, best, limit) for k in (0, 1)]
     s_low, s_high = intervals[0]
-    low_backing, high_backing = (
-        fit.refit(0, s, best) if s < math.inf else math.nan for s in (s_low, s_high)
-    )
+    low_backing = fit.refit(0, s_low, best)
+    high_backing = math.nan
+    if s_high < math.inf:
+        high_backing = fit.refit(0, s_high, best)
     per_x = (1000.0 if weight else 1.0) / x_mean  # g to kg
     return KubelkaMunk(
         ratio=ratio,
@@ -198,14 +202,18 @@ def _check_layer(x: Floats, y: Floats, ratio: float, n_level: float) -> None:
 class _Fit:
     """Least squares of S (times the mean of x) and the backing, in this order.
 
-    Both stay within what is possible.
+    Both stay within what is possible: parameter 0 is S, parameter 1 the backing. ``x`` is over its
+    mean, ``y`` the reflectance of the same points, ``ratio`` K / S.
 
     The mean of what is left is multiplied by ``level``. Two parameters can meet mean and slope, so
     the best fit is hardly changed by that; how far they may be off it is.
     """
 
     def __init__(self, x: Floats, y: Floats, ratio: float, level: float) -> None:
-        self._x, self._y, self._ratio, self._level = x, y, ratio, level
+        self._x = x
+        self._y = y
+        self._ratio = ratio
+        self._level = level
 
     def squares(self, s: float, backing: float) -> float:
         """Sum of what is left, squared."""
@@ -216,9 +224,12 @@ class _Fit:
         slope = np.polyfit(self._x, self._y, 1)[0]
         y_mean = self._y.mean()
         slope_of_s = (1 - y_mean) ** 2 - 2 * y_mean * self._ratio
-        s = slope / slope_of_s if abs(slope_of_s) > 1e-3 else 1.0
+        s = 1.0
+        if abs(slope_of_s) > 1e-3:
+            s = slope / slope_of_s
         start = np.clip([s, y_mean - slope], [0.01, 0.01], [100.0, 0.99])
-        return pair_of(_solved(lambda v: self._residuals(v[0], v[1]), start, slice(2)))
+        best = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
+        return pair_of(best)
 
     def refit(self, k: int, fixed: float, best: Pair) -> float:
         """Find the other parameter, near that of the best fit, that fits best with one fixed."""
@@ -233,15 +244,14 @@ class _Fit:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
 
         def excess(value: float) -> float:
-            return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
+            other_value = self.refit(k, value, best)
+            return self.squares(*_parameters(k, value, other_value)) - limit
 
         low = _LOW[k]
         high = _HIGH[k]
         unlimited = math.inf if k == 0 else high
-        return (
-            _crossing(excess, best[k], low, low),
-            _crossing(excess, best[k], high, unlimited),
-        )
+        start = _crossing(excess, best[k], low, low)
+        return start, _crossing(excess, best[k], high, unlimited)
 
     def _residuals(self, s: float, backing: float) -> Floats:
         residuals = layer_over(backing, s, s * self._ratio, self._x) - self._y
@@ -254,12 +264,12 @@ def _parameters(k: int, fixed_value: float, free_value: float) -> Pair:
 
 def _solved(residuals: Callable[[Floats], Floats], start: ArrayLike, free_slice: slice) -> Floats:
     """Least squares over the parameters that are free, within what is possible."""
-    low, high = _LOW[free_slice], _HIGH[free_slice]
+    low = _LOW[free_slice]
+    high = _HIGH[free_slice]
     inside = np.clip(start, low + 1e-9, high - 1e-9)
     accuracy: Entries = {"xtol": 1e-12, "ftol": 1e-14, "gtol": 1e-14}
-    return optimize.least_squares(
-        residuals, inside, bounds=(low, high), x_scale="jac", **accuracy
-    ).x
+    fit = optimize.least_squares(residuals, inside, bounds=(low, high), x_scale="jac", **accuracy)
+    return fit.x
 
 
 def _crossing(
@@ -267,15 +277,18 @@ def _crossing(
 ) -> float:
     """Where ``excess`` turns positive from ``inside`` to ``end``, in doubling steps: the nearest.
 
-    Else ``fallback``.
+    ``fallback`` where it does not. It is negative at ``inside``.
     """
     near = inside
     step = 0.05 * max(abs(inside), 0.1)
     while near != end:
-        far = min(near + step, end) if end > inside else max(near - step, end)
+        far = max(near - step, end)
+        if end > inside:
+            far = min(near + step, end)
         if excess(far) > 0:
             return float(optimize.brentq(excess, near, far, xtol=1e-9, rtol=1e-7))
-        near, step = far, 2 * step
+        near = far
+        step = 2 * step
     return fallback
 
 
@@ -287,14 +300,16 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
     other = name.replace("coating_", "coat_weight_")
     if other == name or other not in measured or name not in measured:
         return None
-    coating, weight = measured[name].values, measured[other].values
+    coating = measured[name].values
+    weight = measured[other].values
     is_valid = np.isfinite(coating) & np.isfinite(weight) & (coating > 0)
     if not is_valid.any():
         return None
     ratio = weight[is_valid].astype(np.float64) / coating[is_valid]
     middle = np.median(ratio)
+    largest_deviation = np.percentile(np.abs(ratio - middle), 99)
     # A weight by absorption is another measurement: no one number leads to it.
-    if not np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle:
+    if not largest_deviation < 1e-3 * middle:
         return None
     return float(f"{middle:.6g}")
 
@@ -304,7 +319,9 @@ def kubelka_munk_of(
 ) -> KubelkaMunk:
     """Fit reflectance at larger points, or say why not.
 
-    ``density``: um to g/m2, 1 for weights, None for lengths.
+    ``points`` are coating and reflectance (rows, cols), ``ratio`` is K / S. ``density`` (g/cm3)
+    turns a thickness in um into g/m2; it is 1 for a coating that is a weight, and None where the
+    curve is to be over lengths.
     """
     is_weight = density is not None
     x = points[0] * (density or 1.0)
@@ -334,7 +351,8 @@ def answer_density(pair: ComparedMaps) -> Entries:
 
 def answer_kubelka_munk(pair: ComparedMaps) -> Entries:
     """The curve of a coating under an image, in g/m2 where the run knows the density."""
-    point_um, ratio = pair.point_um, pair.params.kubelka_munk
+    point_um = pair.point_um
+    ratio = pair.params.kubelka_munk
     if ratio is None or not pair.is_coat_on_image:
         return {}
     if pair.why_no_points:

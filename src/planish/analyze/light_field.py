@@ -107,8 +107,8 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     """
     is_valid, _ = valid_pixels(a, b, point_um)
     a, b = filled(is_valid, (a, b), np.nan)
-    map_mean, grey_mean = (m[is_valid].mean() for m in (a, b))
-    x = a[is_valid] - map_mean
+    grey_mean = b[is_valid].mean()
+    x = a[is_valid] - a[is_valid].mean()
     y = b[is_valid] - grey_mean
     side = min(np.count_nonzero(is_valid.any(axis=axis)) for axis in (0, 1))
     if x.size < 3 * _TERMS or side < _LEAST_SIDE:
@@ -117,7 +117,7 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
             f" terms; {3 * _TERMS} and {_LEAST_SIDE} are needed. Take smaller points or a larger"
             " field."
         )
-    terms, _ = np.linalg.qr(terms_of_points(is_valid))
+    terms, _ = np.linalg.qr(terms_of_points(is_valid))  # (points, 6), orthonormal
     x_rest, y_rest = (m - terms @ (terms.T @ m) for m in (x, y))
     for name, values, rest in (("map", x, x_rest), ("image", y, y_rest)):
         if not rest @ rest > 1e-10 * (values @ values):
@@ -129,6 +129,9 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     partial_row = correlate(*rests, pixel_um=point_um)
     plain_row = correlate(a, b, pixel_um=point_um)
     inflation = math.sqrt(x @ x / (x_rest @ x_rest))
+    span = math.nan
+    if grey_mean:
+        span = np.ptp(field) / abs(grey_mean)
     share_even, p_even = _even_light(x, y, y_rest - slope * x_rest, terms, is_valid)
     fitted = LightField(
         point_um=point_um,
@@ -142,13 +145,17 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
         share=field @ field / (y @ y),
         share_even=share_even,
         p_even=p_even,
-        span=np.ptp(field) / abs(grey_mean) if grey_mean else math.nan,
+        span=span,
     )
     return fitted, placed(field, is_valid, math.nan)
 
 
 def _interval(partial_row: Correlation, inflation: float) -> Pair:
-    """Interval of r from that of the partial correlation; NaN where too few points are left."""
+    """Interval of r from that of the partial correlation; NaN where too few points are left.
+
+    The terms of the field are degrees of freedom, which makes it wider in Fisher's z; what they
+    share with the map (``inflation``) makes the slope less certain.
+    """
     if not partial_row.n_eff - _TERMS >= LEAST_CLAIMED:
         return math.nan, math.nan
     points = partial_row.n_eff_interval - 3
@@ -157,7 +164,8 @@ def _interval(partial_row: Correlation, inflation: float) -> Pair:
     widening = math.sqrt(points / (points - _TERMS))
     z = fisher_z(partial_row.r)
     limits = z + widening * (fisher_z(partial_row.interval) - z)
-    return pair_of(np.tanh(np.arcsinh(inflation * np.sinh(limits))))
+    z_of_r = np.arcsinh(inflation * np.sinh(limits))
+    return pair_of(np.tanh(z_of_r))
 
 
 def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticField:
@@ -175,6 +183,10 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticFie
 def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Bools) -> Pair:
     """Mean share of a field in even light, and the probability of one as large as that seen.
 
+    ``x`` and ``y`` (points,) are map and image less their means at the points of ``is_valid``,
+    ``rest`` what map and field leave of the image. Both numbers are NaN where the covariances do
+    not tell.
+
     The rest's covariances by lag, and what the terms (points, 6) took off them, give the variance
     of each coefficient. Their sum of squares is taken for a chi-square with the same mean and
     variance (Satterthwaite 1946).
@@ -184,22 +196,28 @@ def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Boo
     products = lags.products(spectrum, spectrum)
     used = lags.until_zero(products)
     products = np.where(used, products, 0.0)
-    pairs = np.maximum(np.where(used, lags.pairs, 0.0), 1e-9)
+    used_pairs = np.where(used, lags.pairs, 0.0)
+    pairs = np.maximum(used_pairs, 1e-9)
     spectra = [lags.transform(placed(term, is_valid, 0.0)) for term in terms.T]
-    overlaps = np.stack([np.where(used, lags.products(m, m), 0.0) for m in spectra])
+    products_of_terms = np.stack([lags.products(m, m) for m in spectra])
+    overlaps = np.where(used, products_of_terms, 0.0)
     # What a term took off the covariances depends on its own variance, which follows from them.
     taken_off = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
     of_rest = np.tensordot(overlaps, products / pairs, 2)
-    variances = np.linalg.solve(np.eye(len(taken_off)) - taken_off, of_rest)
-    covariance = (products + np.tensordot(variances, overlaps, 1)) / pairs
+    kept = np.eye(len(taken_off)) - taken_off
+    variances = np.linalg.solve(kept, of_rest)
+    put_back = np.tensordot(variances, overlaps, 1)
+    covariance = (products + put_back) / pairs
     # The terms of a field are those that neither the mean nor the map explain.
     field_terms = terms - terms.mean(axis=0)
     field_terms -= np.outer(x, x @ field_terms) / (x @ x)
-    basis = np.linalg.svd(field_terms, full_matrices=False)[0][:, :_TERMS]
+    directions = np.linalg.svd(field_terms, full_matrices=False)[0]
+    basis = directions[:, :_TERMS]
     spectra = [lags.transform(placed(term, is_valid, 0.0)) for term in basis.T]
     expected = np.empty((_TERMS, _TERMS))
     for row, column in np.ndindex(expected.shape):
-        expected[row, column] = np.sum(lags.products(spectra[row], spectra[column]) * covariance)
+        overlap = lags.products(spectra[row], spectra[column])
+        expected[row, column] = np.sum(overlap * covariance)
     mean = np.trace(expected)
     size = np.sum((basis.T @ y) ** 2)
     if not (mean > 0 and variances.min() > 0):
@@ -220,21 +238,27 @@ def without_light(
         field, _ = light_field(a, b, point_um=points.point_um)
     except CannotMeasure:
         return pixel, points
-    widths, plain_widths = (fisher_z(row.interval) - fisher_z(row.r) for row in (field, points))
-    ratios = widths / plain_widths
+    widths = fisher_z(field.interval) - fisher_z(field.r)
+    ratios = widths / (fisher_z(points.interval) - fisher_z(points.r))
     share = field.n_eff / points.n_eff
-    pixel, points = (_less_sure(row, ratios, share, field.inflation) for row in (pixel, points))
-    return pixel, points
+    inflation = field.inflation
+    pixel = _less_sure(pixel, ratios, share, inflation)
+    return pixel, _less_sure(points, ratios, share, inflation)
 
 
 def _less_sure(row: Correlation, ratios: Floats, share: float, inflation: float) -> Correlation:
-    """A row with its limits ``ratios`` times as far in z, and that share of its points."""
+    """A row with its limits ``ratios`` times as far in z, and that share of its points.
+
+    ``inflation`` is how much less certain the slope is.
+    """
     n_eff = share * row.n_eff
     p = math.nan
     if n_eff >= LEAST_CLAIMED:
         slope = math.sinh(fisher_z(row.r)) / inflation
-        p = p_of(slope * math.sqrt(n_eff - 2), n_eff - 2)
-    n_eff_interval = (row.n_eff_interval - 3) / float(ratios.mean()) ** 2 + 3
+        free = n_eff - 2
+        p = p_of(slope * math.sqrt(free), free)
+    widening = float(ratios.mean())
+    n_eff_interval = (row.n_eff_interval - 3) / widening**2 + 3
     interval = widened(row.r, row.interval, ratios)
     update = {"n_eff": n_eff, "interval": interval, "p": p, "n_eff_interval": n_eff_interval}
     return row.model_copy(update=update)
@@ -249,7 +273,8 @@ def answer_light_field(pair: ComparedMaps) -> Entries:
     image = points.pop("image")
     (sheet,) = points.values()
     light = pair.light
-    if light is not None:
-        image = image + light.on(points_of(pair.grid, image.shape, pair.point_um))
+    if light is not None:  # it was taken off the image
+        grid = points_of(pair.grid, image.shape, pair.point_um)
+        image = image + light.on(grid)
     field, _ = light_field(sheet, image, point_um=pair.point_um)
     return {"light_field": field.model_copy(update={"declared": light is not None})}

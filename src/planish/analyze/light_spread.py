@@ -84,17 +84,20 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
     if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
     # Padded by ten widths: what wraps around has fallen to 5e-5.
-    reach = np.minimum(np.ceil(np.divide(10.0 * width_um, pixel)), values.shape)
+    ten_widths_px = np.ceil(np.divide(10.0 * width_um, pixel))
+    reach = np.minimum(ten_widths_px, values.shape)
     shape = padded_shape(values.shape, reach.astype(np.intp).tolist())
     turns = 2 * math.pi * width_um * frequencies_of(shape, pixel)
     transfer = (1.0 + turns**2) ** -1.5
     mean = np.mean(values[is_valid], dtype=np.float64)
     rows, cols = values.shape
     centred = np.where(is_valid, values - mean, 0.0)
-    blurred, weight = (
-        np.asarray(fft.irfft2(padded_spectrum(m, shape) * transfer, shape))[:rows, :cols]
-        for m in (centred, is_valid.astype(np.float64))
-    )
+    spread: list[Floats] = []
+    for m in (centred, is_valid.astype(np.float64)):
+        spectrum = padded_spectrum(m, shape) * transfer
+        padded = np.asarray(fft.irfft2(spectrum, shape))
+        spread.append(padded[:rows, :cols])
+    blurred, weight = spread
     unknown = np.full(values.shape, np.nan)
     return mean + np.divide(blurred, weight, out=unknown, where=is_valid)
 
@@ -104,7 +107,9 @@ def answer_light_spread(pair: ComparedMaps) -> Entries:
 
     It stands beside the coating as it is, at the same points.
     """
-    width_um, point_um, cell_um = pair.params.light_spread_um, pair.point_um, pair.cell_um
+    width_um = pair.params.light_spread_um
+    point_um = pair.point_um
+    cell_um = pair.cell_um
     if width_um is None or not pair.is_coat_on_image:
         return {}
     build_result = partial(LightSpread, width_um=width_um, point_um=point_um)
@@ -113,9 +118,10 @@ def answer_light_spread(pair: ComparedMaps) -> Entries:
     try:
         blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um)
         blurred_points = area_mean(blurred, square_px(point_um, cell_um))
-        coating, image = pair.points
-        correlation = correlate(blurred_points, image, pixel_um=point_um)
-        difference = paired_difference((coating, image), (blurred_points, image), pixel_um=point_um)
+        points = pair.points
+        blurred_pair = (blurred_points, points[1])
+        correlation = correlate(*blurred_pair, pixel_um=point_um)
+        difference = paired_difference(points, blurred_pair, pixel_um=point_um)
     except PlanishError as error:
         return {"light_spread": build_result(reason=error.text)}
     if math.isnan(correlation.r):

@@ -18,7 +18,7 @@ from planish.core.area import area_mean, square_px
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import NULL, DescribedModel, Interval, Value
-from planish.core.typing import Array, Bools, Floats, Ints, Pair, Pixel, pair_of
+from planish.core.typing import Array, Bools, Entries, Floats, Ints, Pair, Pixel, pair_of
 
 
 class Reliability(DescribedModel):
@@ -131,9 +131,9 @@ def half_points(
     """
     ones = np.where(is_valid, 1.0, np.nan)
     enough = np.isfinite(area_mean(ones, square_px(point_um, cell_um)))
-    height_um, width_um = np.minimum(
-        np.multiply(is_valid.shape, cell_um), np.multiply(enough.shape, point_um)
-    )
+    # Of all cells, or of all whole points.
+    sides_um = np.multiply(is_valid.shape, cell_um), np.multiply(enough.shape, point_um)
+    height_um, width_um = np.minimum(*sides_um)
     turn = columns.similarity.matrix()
     shift_um = np.subtract(columns.similarity.shift_um, origin_um)
     n_columns = np.zeros(enough.size)
@@ -143,19 +143,25 @@ def half_points(
         # Two rows more on either side, for the slopes beside and the means between rows; an even
         # number of them.
         before = min(rows.start, 2)
-        part = columns.part(slice(rows.start - before, rows.stop + 2))
+        first = rows.start - before
+        part = columns.part(slice(first, rows.stop + 2))
         values, alone = part.values(name)
-        of_band = slice(before, before + rows.stop - rows.start)
-        halves = [_half(values, first)[of_band].ravel() for first in (1, 0)]
+        of_band = slice(before, rows.stop - first)
+        halves = [_half(values, parity)[of_band].ravel() for parity in (1, 0)]
         u, v = (part.flat[axis].values[of_band].ravel() for axis in "uv")
         x = turn[0, 0] * u + turn[0, 1] * v + shift_um[0]
         y = turn[1, 0] * u + turn[1, 1] * v + shift_um[1]
         use = np.isfinite(halves[0] + halves[1])
-        use &= (y >= 0) & (y < height_um) & (x >= 0) & (x < width_um)
-        use[use] = is_valid[_index(y[use], cell_um[0]), _index(x[use], cell_um[1])]
-        ids = _index(y[use], point_um) * enough.shape[1] + _index(x[use], point_um)
+        use &= (y >= 0) & (y < height_um)
+        use &= (x >= 0) & (x < width_um)
+        cell_rows = _index(y[use], cell_um[0])
+        cell_cols = _index(x[use], cell_um[1])
+        use[use] = is_valid[cell_rows, cell_cols]
+        first_of_row = _index(y[use], point_um) * enough.shape[1]
+        ids = first_of_row + _index(x[use], point_um)
         n_columns += np.bincount(ids, minlength=enough.size)
-        totals += [np.bincount(ids, weights=half[use], minlength=enough.size) for half in halves]
+        for total, half in zip(totals, halves, strict=True):
+            total += np.bincount(ids, weights=half[use], minlength=enough.size)
     is_counted = enough & (n_columns > 0).reshape(enough.shape)
     means = (totals / np.maximum(n_columns, 1)).reshape(2, *is_counted.shape)
     odd, even = np.where(is_counted, means, np.nan)
@@ -177,7 +183,8 @@ def _half(values: Floats, first: int) -> Floats:
     half = np.full(values.shape, np.nan)
     half[first::2] = values[first::2]
     rows_of_half = half[first::2]
-    half[first + 1 : -1 : 2] = 0.5 * (rows_of_half[:-1] + rows_of_half[1:])
+    between = 0.5 * (rows_of_half[:-1] + rows_of_half[1:])
+    half[first + 1 : -1 : 2] = between
     return half
 
 
@@ -191,20 +198,15 @@ def row_difference(values: Floats) -> Floats:
 
 def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     """How much of a map two halves of its measurement show alike, or why that cannot be said."""
-    columns, grid, point_um = pair.columns[layer], pair.grid, pair.point_um
-    corner_um = pair_of(np.subtract(grid.origin_um, np.divide(grid.pixel_um[::-1], 2)))
+    columns = pair.columns[layer]
+    point_um = pair.point_um
+    half_pixels_um = np.divide(pair.grid.pixel_um[::-1], 2)
+    corner_um = pair_of(np.subtract(pair.grid.origin_um, half_pixels_um))
+    sizes: Entries = {"origin_um": corner_um, "cell_um": pair.cell_um, "point_um": point_um}
     try:
-        odd, even, alone = half_points(
-            columns,
-            name,
-            pair.lags.is_valid,
-            origin_um=corner_um,
-            cell_um=pair.cell_um,
-            point_um=point_um,
-        )
+        odd, even, alone = half_points(columns, name, pair.lags.is_valid, **sizes)
         reliability = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
         return Reliability(layer=layer, map=name, point_um=point_um, reason=error.text)
-    return Reliability.holding(
-        reliability, layer=layer, map=name, shared=columns.shared(alone=alone)
-    )
+    shared = columns.shared(alone=alone)
+    return Reliability.holding(reliability, layer=layer, map=name, shared=shared)

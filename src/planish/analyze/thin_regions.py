@@ -68,24 +68,29 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
     """
     is_valid, pixel = valid_pixels(values, values, pixel_um)
     on_one_grid(values, inside, pixel, inside)
-    is_inside, is_outside = is_valid & inside, is_valid & ~inside
-    count = int(np.count_nonzero(is_inside)), int(np.count_nonzero(is_outside))
-    if min(count) < LEAST:
+    is_inside = is_valid & inside
+    is_outside = is_valid & ~inside
+    values_inside = values[is_inside]
+    values_outside = values[is_outside]
+    n_inside = values_inside.size
+    n = n_inside + values_outside.size
+    if min(n_inside, values_outside.size) < LEAST:
         raise CannotMeasure(
-            f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {LEAST} are"
-            " needed on either side. Give another limit."
+            f"{n_inside} valid pixels lie inside of the regions and {values_outside.size} outside,"
+            f" {LEAST} are needed on either side. Give another limit."
         )
-    share = count[0] / sum(count)
-    mean_inside, mean_outside = (values[part].mean() for part in (is_inside, is_outside))
+    share = n_inside / n
+    mean_inside = values_inside.mean()
+    mean_outside = values_outside.mean()
     difference = mean_inside - mean_outside
     contributions = np.zeros(is_valid.shape)
-    contributions[is_inside] = (values[is_inside] - mean_inside) / share
-    contributions[is_outside] = (mean_outside - values[is_outside]) / (1 - share)
+    contributions[is_inside] = (values_inside - mean_inside) / share
+    contributions[is_outside] = (mean_outside - values_outside) / (1 - share)
     variance, n_eff = scatter_of(contributions, Lags(is_valid, pixel))
     width = math.nan
     if not variance > 0:
         width = 0.0
-        n_eff = float(sum(count))
+        n_eff = float(n)
     elif n_eff >= LEAST_CLAIMED:
         width = t_95(n_eff - 1) * math.sqrt(variance / n_eff)
     interval = around(difference, width)
