@@ -10,7 +10,7 @@ from scipy import ndimage
 from planish.core.facts import DescribedModel, Value
 from planish.core.grid import corners_of
 from planish.core.typing import Floats
-from planish.flatten.distortion import node_blocks
+from planish.flatten.distortion import edge_lengths, node_blocks
 
 _HALVES = ((0, 1, 2), (0, 2, 3))  # corners of the triangles of a cell
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
@@ -79,7 +79,8 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
         # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the
         # half-side from them.
         padded_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)
-        ramp = np.minimum(padded_um[1:-1, 1:-1] / (patch_um * (1 / 3)), 1.0)
+        from_rim = padded_um[1:-1, 1:-1] / (patch_um * (1 / 3))
+        ramp = np.minimum(from_rim, 1.0)
         weight = ramp * ramp * (3 - 2 * ramp)
         sigma_px = [patch_um / np.sqrt(3) / p for p in pitch]
 
@@ -88,12 +89,15 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
             return ndimage.gaussian_filter(weighted, sigma_px, mode="constant", truncate=3.0)
 
         is_covered = inside & (over_patch(np.ones(inside.shape)) >= 0.5)
-        curvature[is_covered] = over_patch(angle_deficit)[is_covered] / over_patch(area)[is_covered]
+        patch_deficit = over_patch(angle_deficit)[is_covered]
+        patch_area = over_patch(area)[is_covered]
+        curvature[is_covered] = patch_deficit / patch_area
     strain = np.abs(curvature) * patch_um**2 / 16
     has_strain = np.isfinite(strain)
     share_above = largest = np.nan
     if has_strain.any():
-        share_above = float(area[strain > _LIMIT].sum() / area[has_strain].sum())
+        area_above = area[strain > _LIMIT].sum()
+        share_above = float(area_above / area[has_strain].sum())
         largest = float(strain[has_strain].max())
     return CurvatureCheck(
         curvature=curvature,
@@ -108,7 +112,7 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
 
 def _median_pitch(points: Floats, axis: int) -> float:
     """Median distance of neighbours along an axis; infinite where none has a neighbour."""
-    lengths = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
+    lengths = edge_lengths(points, axis)
     finite = lengths[np.isfinite(lengths)]
     return float(np.median(finite)) if finite.size else np.inf
 
@@ -131,28 +135,35 @@ def _verdict(patch_um: float, share_above: float, largest: float) -> str:
 
 
 def _deficit_and_area(points: Floats) -> tuple[Floats, Floats]:
-    """Give the angle deficit to a full turn about each node, and a third of its triangles' area."""
-    # Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal,
-    # about it.
-    angles, area = (np.zeros(points.shape[:2]) for _ in range(2))
+    """Give the angle deficit to a full turn about each node, and a third of its triangles' area.
+
+    Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal,
+    about it. ``points`` (rows, cols, 3) in um.
+    """
+    angles = np.zeros(points.shape[:2])
+    area = np.zeros_like(angles)
     for nodes in node_blocks(points):
-        corners, corner_angles, corner_areas = (
-            corners_of(field[nodes]) for field in (points, angles, area)
-        )
+        # Views: what is added to a corner of all cells is added to its nodes.
+        corners = corners_of(points[nodes])
+        corner_angles = corners_of(angles[nodes])
+        corner_areas = corners_of(area[nodes])
         for half in _HALVES:
-            p, q, r = half
-            pq, pr = corners[q] - corners[p], corners[r] - corners[p]
+            p, q, r = (corners[k] for k in half)
+            pq = q - p
+            pr = r - p
             normal = np.cross(pq, pr)
             twice_area = np.sqrt(_dot(normal, normal))
             pq_dot_pr = _dot(pq, pr)
             at_p = np.arctan2(twice_area, pq_dot_pr)
             at_q = np.arctan2(twice_area, _dot(pq, pq) - pq_dot_pr)
-            for k, angle in zip(half, (at_p, at_q, np.pi - at_p - at_q), strict=True):
+            at_r = np.pi - at_p - at_q
+            for k, angle in zip(half, (at_p, at_q, at_r), strict=True):
                 corner_angles[k][:] += angle
                 corner_areas[k][:] += twice_area / 6
     angle_deficit = 2 * np.pi - angles
     # Nodes of the outline have no full turn.
-    angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan
+    angle_deficit[[0, -1]] = np.nan
+    angle_deficit[:, [0, -1]] = np.nan
     area[np.isnan(angle_deficit)] = np.nan
     return angle_deficit, area
 

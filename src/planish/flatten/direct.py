@@ -12,20 +12,15 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Array, Bools, Floats, Ints
 from planish.flatten.levels import Level
 
 # Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift
 # and turn.
 _TIE = 1e-10
-# First and second ends of the four families of springs: steps in row and column from where the
-# spring is stored.
-_ENDS = np.array(
-    [
-        [(0, 0), (0, 0), (0, 0), (0, 1)],
-        [(0, 1), (1, 0), (1, 1), (1, 0)],
-    ]
-)
+# First and second ends of the four families of springs: steps down, and steps across, from where
+# the spring is stored.
+_ENDS = np.array([[[0, 0, 0, 0], [0, 0, 0, 1]], [[0, 1, 1, 1], [1, 0, 1, 0]]])
 
 
 class Network(NamedTuple):
@@ -39,30 +34,35 @@ class Network(NamedTuple):
 
     @classmethod
     def of(cls, level: Level) -> Network:
-        """Collect the springs of ``level``."""
+        """Collect the springs of ``level``; nodes are numbered row by row."""
         mask = level.nodes
-        number = np.full((level.rows + 1, level.cols + 1), -1)
-        number[:-1, :-1][mask] = np.arange(np.count_nonzero(mask))
+        number = np.zeros(mask.shape, dtype=np.intp)
+        number[mask] = np.arange(np.count_nonzero(mask))
         rest = level.inside(level.rest)
-        stiff = level.inside(np.broadcast_to(level.stiff, level.rest.shape))
-        springs = rest > 0
-        family, rows, cols = np.nonzero(springs)
-        first, second = (number[rows + step[family, 0], cols + step[family, 1]] for step in _ENDS)
-        return cls(mask, first, second, rest[springs], stiff[springs].astype(np.float64))
+        stiff = level.inside(level.full_stiff)
+        is_spring = rest > 0
+        family, rows, cols = np.nonzero(is_spring)
+        first, second = (
+            number[rows + down[family], cols + across[family]] for down, across in _ENDS
+        )
+        return cls(mask, first, second, rest[is_spring], stiff[is_spring])
 
     def energy(self, uv: Floats) -> float:
         """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
-        lengths = np.linalg.norm(uv[self.second] - uv[self.first], axis=1)
-        return float(np.sum(self.stiff * (lengths - self.rest) ** 2))
+        vectors = uv[self.second] - uv[self.first]
+        stretch = np.linalg.norm(vectors, axis=1) - self.rest
+        return float(np.sum(self.stiff * stretch**2))
 
     def forces(self, uv: Floats) -> Floats:
         """Minus half the energy's gradient, (nodes, 2)."""
         vectors, lengths = self._vectors(uv)
-        pull = vectors * (self.stiff * (1 - self.rest / lengths))[:, None]
+        strain = 1 - self.rest / lengths
+        pull = vectors * (self.stiff * strain)[:, None]
         force = np.empty(uv.shape)
         for axis, p in enumerate(pull.T):
             at_first = np.bincount(self.first, p, len(uv))
-            force[:, axis] = at_first - np.bincount(self.second, p, len(uv))
+            at_second = np.bincount(self.second, p, len(uv))
+            force[:, axis] = at_first - at_second
         return force
 
     def matrix(self, uv: Floats, *, exact: bool) -> sparse.csc_array:
@@ -73,17 +73,20 @@ class Network(NamedTuple):
         """
         d, transverse_share = self._directions(uv, exact)
         along = d.T[:, None] * d.T * (1 - transverse_share)
-        block = self.stiff * (along + np.eye(2)[..., None] * transverse_share)
+        across = np.eye(2)[..., None] * transverse_share
+        block = self.stiff * (along + across)
         # For both axes of either end, the four pairs of ends: (2, 2, 4, springs).
         pair_signs = np.array([1.0, 1.0, -1.0, -1.0])
         values = block[:, :, None] * pair_signs[:, None]
-        ends = np.stack([self.first, self.second, self.first, self.second])
-        other_ends = np.stack([self.first, self.second, self.second, self.first])
+        first, second = self.first, self.second
+        ends = np.stack([first, second, first, second])
+        other_ends = np.stack([first, second, second, first])
         row = 2 * ends + np.arange(2)[:, None, None, None]
         col = 2 * other_ends + np.arange(2)[:, None, None]
-        indices = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
+        row, col, _ = np.broadcast_arrays(row, col, values)
         size = 2 * len(uv)
-        stiffness = sparse.coo_array((values.ravel(), tuple(indices)), (size, size))
+        indices = (row.ravel(), col.ravel())
+        stiffness = sparse.coo_array((values.ravel(), indices), (size, size))
         return (stiffness + _TIE * sparse.eye_array(size)).tocsc()
 
     def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
@@ -94,10 +97,12 @@ class Network(NamedTuple):
         spring_indices = np.arange(n_springs)
         incidence[spring_indices, self.first] = -1.0
         incidence[spring_indices, self.second] = 1.0
-        along = (d[:, None, :] * incidence[:, :, None]).reshape(n_springs, -1)
+        along = d[:, None, :] * incidence[:, :, None]
+        along = along.reshape(n_springs, -1)
         stiff_along = self.stiff * (1 - transverse_share)
         stiffness = along.T @ (stiff_along[:, None] * along)
         if exact:
+            # Alike on u (even places) and v.
             stiff_across = self.stiff * transverse_share
             across = incidence.T @ (stiff_across[:, None] * incidence)
             stiffness[::2, ::2] += across
@@ -127,13 +132,16 @@ class StiffnessSolver:
     """
 
     def __init__(self, network: Network, uv: Floats, *, exact: bool = False) -> None:
+        """Factorise the stiffness of ``network`` at ``uv`` (nodes, 2), or set up a full matrix."""
         # Shifts, and the turn about the middle, at right angles to them.
-        rigid = np.tile(np.eye(2, 3), (len(uv), 1, 1))
+        rigid = np.zeros((len(uv), 2, 3))
         u, v = (uv - uv.mean(axis=0)).T
+        rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
         rigid[:, 0, 2] = -v
         rigid[:, 1, 2] = u
-        flat = rigid.reshape(-1, 3)
-        self._rigid = flat / np.maximum(np.sqrt(np.sum(flat * flat, axis=0)), 1e-300)
+        moves = rigid.reshape(-1, 3)
+        lengths = np.sqrt(np.sum(moves * moves, axis=0))
+        self._rigid = moves / np.maximum(lengths, 1e-300)
         self._matrix: Floats | None = None
         if len(uv) <= 200:  # nodes up to which a full matrix is quicker than a sparse one
             # Stiff against moves of the whole, which neither forces nor moves contain.
@@ -156,21 +164,29 @@ class StiffnessSolver:
         """
         if self._matrix is None:
             return None
-        free = np.eye(len(self._matrix)) - self._rigid @ self._rigid.T
+        rigid_part = self._rigid @ self._rigid.T
+        free = np.eye(len(rigid_part)) - rigid_part
         return free @ np.linalg.inv(self._matrix) @ free
 
     def __call__(self, force: Floats) -> Floats:
         """Moves (nodes, 2) under ``force`` (nodes, 2)."""
-        flat = force.ravel()
-        flat = flat - self._rigid @ (self._rigid.T @ flat)
-        move = self._solve(flat) if self._matrix is None else np.linalg.solve(self._matrix, flat)
-        return (move - self._rigid @ (self._rigid.T @ move)).reshape(-1, 2)
+        free_force = self._without_rigid(force.ravel())
+        if self._matrix is None:
+            move = self._solve(free_force)
+        else:
+            move = np.linalg.solve(self._matrix, free_force)
+        return self._without_rigid(move).reshape(-1, 2)
+
+    def _without_rigid(self, values: Array) -> Array:
+        """Forces or moves (2 nodes,) without their share in shifts and turns of the whole."""
+        return values - self._rigid @ (self._rigid.T @ values)
 
 
 def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> Floats:
     """Run Newton's method from ``uv`` (nodes, 2) until no step is over ``tolerance``.
 
-    Its steps lower the energy.
+    Its steps lower the energy: one that would not is halved, and the last places are given where
+    even a small share of it would not.
     """
     energy = network.energy(uv)
     for _ in range(60):

@@ -45,9 +45,19 @@ class MeshPoints(NamedTuple):
 
 
 def _corners(row: Ints, col: Ints, half: Ints) -> tuple[Ints, Ints]:
-    """Rows and columns (n, 3) of the corners of triangles."""
+    """Rows and columns (n, 3) of the corners of triangles, each given by its cell and half."""
     down, across = np.moveaxis(_CORNERS[half], -1, 0)
     return row[:, None] + down, col[:, None] + across
+
+
+def cross(p: Floats, q: Floats) -> Floats:
+    """Cross product of vectors (..., 2): the signed area that they span."""
+    return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+
+
+def edge_lengths(nodes: Floats, axis: int) -> Floats:
+    """Distance of neighbours in a grid of ``nodes`` (rows, cols, k), along axis 0 or 1."""
+    return np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
 
 
 class GeodesicError(DescribedModel):
@@ -92,12 +102,12 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator) -> G
     error = np.empty(0)
     if whole.any():
         start, end = (random_places(whole, _LINES, rng) for _ in range(2))
-        flat, space = trace_lines(points, uv, start, end)
-        error = np.abs(flat[space > 0] / space[space > 0] - 1)
+        flat_um, space_um = trace_lines(points, uv, start, end)
+        is_traced = space_um > 0
+        error = np.abs(flat_um[is_traced] / space_um[is_traced] - 1)
     p50, p95, largest = percentiles(error, 50, 95, 100)
-    return GeodesicError(
-        p50=p50, p95=p95, largest=largest, used=error.size, dropped=_LINES - error.size
-    )
+    n_dropped = _LINES - error.size
+    return GeodesicError(p50=p50, p95=p95, largest=largest, used=error.size, dropped=n_dropped)
 
 
 def whole_cells(points: Floats, uv: Floats) -> Bools:
@@ -110,15 +120,16 @@ def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
 
     NaN where a corner is missing.
     """
-    a, *others = corners_of(grid)
-    (bx, by), (cx, cy), (dx, dy) = (np.moveaxis(corner - a, -1, 0) for corner in others)
-    return bx * cy - by * cx, cx * dy - cy * dx
+    a, b, c, d = corners_of(grid)
+    diagonal = c - a
+    return cross(b - a, diagonal), cross(diagonal, d - a)
 
 
 def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float = 0.0) -> Bools:
     """Find the cells of ``uv`` (rows, cols, 2) with a triangle that is empty or turned over.
 
-    The triangles of a cell are (a, b, c) and (a, c, d).
+    The triangles of a cell are (a, b, c) and (a, c, d). ``points`` (rows, cols, 3) are the nodes in
+    space; cells with a missing corner are none.
 
     ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v;
     ``floor`` is the share of a cell's half area in space, from the product of its diagonals, that a
@@ -161,6 +172,7 @@ def trace_lines(
     intersection is ever searched, and corners on the line do no harm. In folded cells a line
     follows the sheet there and back.
     """
+    # With a ring of no cells, so that a line may step over the outline.
     is_cell = np.pad(whole_cells(points, uv), 1)
     origin = start.on(uv)
     goals = end.on(points)
@@ -168,18 +180,21 @@ def trace_lines(
     flat_um = np.hypot(*vector.T)
     space_um = np.full(flat_um.size, np.nan)
     end_triangle = np.stack([end.row, end.col, end.half], axis=1)
-    is_turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
+    areas = np.stack(triangle_areas(uv))
+    is_turned = areas[start.half, start.row, start.col] < 0
 
     # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
     line = np.arange(flat_um.size)
     triangles: Ints = np.stack([line, start.row, start.col, start.half], axis=1)
-    positions: Floats = np.column_stack([start.on(points), np.zeros(flat_um.size)])
+    positions: Floats = np.column_stack([start.on(points), np.zeros_like(flat_um)])
     # No line crosses so many triangles unless it winds through folded cells.
     for _ in range(20 * sum(points.shape[:2])):
-        has_arrived = (triangles[:, 1:] == end_triangle[triangles[:, 0]]).all(axis=1)
+        is_in_end = triangles[:, 1:] == end_triangle[triangles[:, 0]]
+        has_arrived = is_in_end.all(axis=1)
         arrived = triangles[has_arrived, 0]
-        rest_um = np.linalg.norm(goals[arrived] - positions[has_arrived, :3], axis=1)
-        space_um[arrived] = positions[has_arrived, 3] + rest_um
+        places, lengths_um = np.split(positions[has_arrived], [3], axis=1)
+        rest_um = np.linalg.norm(goals[arrived] - places, axis=1)
+        space_um[arrived] = lengths_um[:, 0] + rest_um
         triangles, positions = triangles[~has_arrived], positions[~has_arrived]
         if triangles.size == 0:
             break
@@ -188,7 +203,8 @@ def trace_lines(
         exits, triangles, has_exit = _leave_triangles(points, uv, triangles, *start_turned)
         way_um = np.linalg.norm(exits - positions[:, :3], axis=1)
         positions = np.column_stack([exits, positions[:, 3] + way_um])
-        is_on_sheet = has_exit & is_cell[triangles[:, 1] + 1, triangles[:, 2] + 1]
+        row, col = triangles[:, 1:3].T + 1
+        is_on_sheet = has_exit & is_cell[row, col]
         triangles, positions = triangles[is_on_sheet], positions[is_on_sheet]
     return flat_um, space_um
 
@@ -198,26 +214,30 @@ def _leave_triangles(
 ) -> tuple[Floats, Ints, Bools]:
     """Give the points (n, 3) at which lines leave their triangles, and the triangles behind.
 
-    Gives also which lines cross an edge.
+    Gives also which lines cross an edge. ``triangles`` (n, 4): number of the line, row and column
+    of the cell, and its half; ``origin`` and ``vector`` (n, 2) of the lines in the plane. Those
+    that are turned began in a triangle that is turned over.
     """
-    # Those that are turned began in a triangle that is turned over.
     line, row, col, half = triangles.T
     corner = _corners(row, col, half)
-    x, y = np.moveaxis(uv[corner] - origin[:, None], -1, 0)
-    side = vector[:, :1] * y - vector[:, 1:] * x
+    # Of each corner (n, 3): above 0 on one side of the line, below on the other.
+    side = cross(vector[:, None], uv[corner] - origin[:, None])
     is_right = (side > 0) == is_turned[:, None]
     is_exit_edge = is_right & ~is_right[:, [1, 2, 0]]
     edge = np.argmax(is_exit_edge, axis=1)
-    begin_corner, end_corner = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
+    index = np.arange(line.size)
+    begin_corner = (index, edge)
+    end_corner = (index, (edge + 1) % 3)
     # Not so where a line starts so close to an edge that rounding put it outside.
     has_exit = is_exit_edge.any(axis=1)
     way = np.where(has_exit, side[begin_corner] - side[end_corner], 1.0)
     exit_share = side[begin_corner] / way
     corner_points = points[corner]
     a, b = corner_points[begin_corner], corner_points[end_corner]
+    exits = a + exit_share[:, None] * (b - a)
     down, across, half = _BEHIND[half, edge].T
     behind = np.stack([line, row + down, col + across, half], axis=1)
-    return a + exit_share[:, None] * (b - a), behind, has_exit
+    return exits, behind, has_exit
 
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
@@ -295,18 +315,19 @@ def measure_distortion(
     sheet grow by some 2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all,
     points to noise or jitter of slices.
     """
-    area = strain["signed_area"].values
+    signed_area = strain["signed_area"].values
     scale, scale_ratio, direction, displacements = _against_projection(points, uv)
     median, p95, largest = percentiles(displacements, 50, 95, 100)
-    in_space, in_plane = boundary_lengths(points, uv)
-    spreads = {name: _spread(strain[name].values) for name in ("axial_u", "axial_v", "shear")}
+    boundary_space_um, boundary_flat_um = boundary_lengths(points, uv)
     return Distortion(
-        area=_spread(strain["area_ratio"].values - 1),
-        **spreads,
-        cells=int(np.count_nonzero(np.isfinite(area))),
-        inverted_cells=int(np.count_nonzero(area <= 0)),
-        boundary_space_um=in_space,
-        boundary_flat_um=in_plane,
+        area=_spread(strain["area_ratio"] - 1),
+        axial_u=_spread(strain["axial_u"]),
+        axial_v=_spread(strain["axial_v"]),
+        shear=_spread(strain["shear"]),
+        cells=np.isfinite(signed_area).sum(),
+        inverted_cells=(signed_area <= 0).sum(),
+        boundary_space_um=boundary_space_um,
+        boundary_flat_um=boundary_flat_um,
         growth_percent=100 * (scale - 1),
         growth_anisotropy_percent=100 * (scale_ratio - 1),
         growth_direction_deg=direction,
@@ -330,12 +351,9 @@ def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
     (rows, cols - 1), (rows - 1, cols)
         Flat length over length in space, minus one; NaN where an end is missing.
     """
-    strains: list[Floats] = []
-    for axis in (1, 0):
-        edges = np.diff(uv, axis=axis), np.diff(points, axis=axis)
-        flat, space = (np.linalg.norm(vectors, axis=-1) for vectors in edges)
-        strains.append(flat / space - 1)
-    return strains[0], strains[1]
+    along_rows = edge_lengths(uv, 1) / edge_lengths(points, 1) - 1
+    along_cols = edge_lengths(uv, 0) / edge_lengths(points, 0) - 1
+    return along_rows, along_cols
 
 
 def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
@@ -368,35 +386,37 @@ def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
     2.3.1).
     """
     blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in node_blocks(points)]
-    strain = xr.Dataset()
-    for name in blocks[0]:
-        strain[name] = ("row", "col"), np.concatenate([block[name] for block in blocks])
-    return strain
+    return xr.concat(blocks, "row")
 
 
 def node_blocks(points: Floats) -> Iterator[slice]:
     """Cut the rows of a mesh into slices that share a row."""
     rows, cols = points.shape[0] - 1, points.shape[1]
     step = max(1, _BLOCK // cols)
-    return (slice(k, min(k + step, rows) + 1) for k in range(0, rows, step))
+    for first in range(0, rows, step):
+        yield slice(first, min(first + step, rows) + 1)
 
 
 def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     """Give the length in um, in space and in the plane, of the edges of exactly one whole cell."""
     is_cell = np.pad(whole_cells(points, uv), 1)
-    row_edges = is_cell[1:, 1:-1] != is_cell[:-1, 1:-1]  # (rows, cols - 1): edges along rows
-    col_edges = is_cell[1:-1, 1:] != is_cell[1:-1, :-1]  # (rows - 1, cols)
+    row_edges = np.diff(is_cell[:, 1:-1], axis=0)  # (rows, cols - 1): edges along rows
+    col_edges = np.diff(is_cell[1:-1], axis=1)  # (rows - 1, cols)
     lengths: list[float] = []
     for nodes in (points, uv):
-        edges = np.diff(nodes, axis=1)[row_edges], np.diff(nodes, axis=0)[col_edges]
-        lengths.append(float(sum(np.linalg.norm(e, axis=1).sum() for e in edges)))
+        along_rows = edge_lengths(nodes, 1)[row_edges]
+        along_cols = edge_lengths(nodes, 0)[col_edges]
+        lengths.append(float(along_rows.sum() + along_cols.sum()))
     return lengths[0], lengths[1]
 
 
-def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
+def _block_strain(points: Floats, uv: Floats) -> xr.Dataset:
     """Strain maps (rows - 1, cols - 1) of some rows of nodes, as of :func:`cell_strain`."""
     across, down = _cell_edges(points)
-    (au, av), (du, dv) = (np.moveaxis(e, -1, 0) for e in _cell_edges(uv))
+    flat_across, flat_down = _cell_edges(uv)
+    au, av = np.moveaxis(flat_across, -1, 0)
+    du, dv = np.moveaxis(flat_down, -1, 0)
+    # Metric of the cell in space.
     g11 = np.einsum("ijk,ijk->ij", across, across)
     g12 = np.einsum("ijk,ijk->ij", across, down)
     g22 = np.einsum("ijk,ijk->ij", down, down)
@@ -406,8 +426,10 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         height[height <= 1e-12 * side] = np.nan
         # The Jacobian in an orthonormal frame of the cell whose first axis is the edge across; its
         # singular values from the parts that turn and scale alike and those that do not.
-        j11, j21 = au / side, av / side
-        j12, j22 = (du - au * g12 / g11) / height, (dv - av * g12 / g11) / height
+        j11 = au / side
+        j21 = av / side
+        j12 = (du - au * g12 / g11) / height
+        j22 = (dv - av * g12 / g11) / height
         conformal = np.hypot(j11 + j22, j21 - j12) / 2
         anticonformal = np.hypot(j11 - j22, j21 + j12) / 2
         high = conformal + anticonformal
@@ -416,7 +438,7 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         angle = np.arctan2(side * height, g12)
         flat_angle = np.arctan2(np.abs(area), au * du + av * dv)
         smaller_area = 0.5 * np.minimum(*triangle_areas(uv))
-        return {
+        maps = {
             "stretch_max": high,
             "stretch_min": low,
             "area_ratio": high * low,
@@ -426,46 +448,52 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
             "signed_area": np.where(np.isfinite(g11), smaller_area, np.nan),
             "anisotropy": high / low,
         }
+    return xr.Dataset({name: (("row", "col"), m) for name, m in maps.items()})
 
 
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
+    """Mean edges (rows - 1, cols - 1, k) of each cell: along a row, and down a column."""
     across = np.diff(nodes, axis=1)
     down = np.diff(nodes, axis=0)
     mean_across = 0.5 * (across[:-1] + across[1:])
-    return mean_across, 0.5 * (down[:, :-1] + down[:, 1:])
+    mean_down = 0.5 * (down[:, :-1] + down[:, 1:])
+    return mean_across, mean_down
 
 
-def _spread(values: Floats) -> Spread:
-    median, p5, p95 = percentiles(values, 50, 5, 95)
-    p95_abs, max_abs = percentiles(np.abs(values), 95, 100)
+def _spread(strain: xr.DataArray) -> Spread:
+    median, p5, p95 = percentiles(strain.values, 50, 5, 95)
+    p95_abs, max_abs = percentiles(np.abs(strain.values), 95, 100)
     return Spread(median=median, p5=p5, p95=p95, p95_abs=p95_abs, max_abs=max_abs)
 
 
 def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:
     """Fit a similarity and an affine map from (x, y) to (u, v).
 
-    Gives the scale of the similarity, and the ratio and first direction of the affine map's
-    singular values.
+    Gives the scale of the similarity; the ratio of the affine map's singular values and the
+    direction of the first one, in degrees from x towards y; and the distances (n,) in um that are
+    left after the rotation and shift that make them smallest. NaN where fewer than 3 nodes, or a
+    sheet on edge, do not tell.
     """
-    # And the distances (n,) in um that are left after the rotation and shift that make them
-    # smallest.
     is_node = are_known(points) & are_known(uv)
-    a, b = points[..., :2][is_node], uv[is_node]
-    if len(a) < 3:
-        return np.nan, np.nan, np.nan, np.zeros(len(a))
-    a = a - a.mean(axis=0)
-    b = b - b.mean(axis=0)
-    scatter, cross = a.T @ a, b.T @ a
-    along, across = cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]
-    scale = float(np.hypot(along, across) / np.trace(scatter))
-    cross_sum = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    rotation = np.arctan2(cross_sum, np.sum(a * b))
+    xy, flat = points[..., :2][is_node], uv[is_node]
+    if len(xy) < 3:
+        return np.nan, np.nan, np.nan, np.zeros(len(xy))
+    a = xy - xy.mean(axis=0)
+    b = flat - flat.mean(axis=0)
+    scatter = a.T @ a
+    products = b.T @ a
+    dot_sum = np.sum(a * b)
+    cross_sum = np.sum(cross(a, b))
+    scale = float(np.hypot(dot_sum, cross_sum) / np.trace(scatter))
+    rotation = np.arctan2(cross_sum, dot_sum)
     cos = np.cos(rotation)
     sin = np.sin(rotation)
     turned = a @ np.array([[cos, sin], [-sin, cos]])
     residuals = np.linalg.norm(b - turned, axis=1)
     if np.linalg.cond(scatter) > 1e12:  # a sheet on edge: its projection is a line
         return scale, np.nan, np.nan, residuals
-    _, size, axes = np.linalg.svd(cross @ np.linalg.inv(scatter))
-    direction = np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180
-    return scale, float(size[0] / size[1]), float(direction), residuals
+    affine = products @ np.linalg.inv(scatter)
+    _, sizes, axes = np.linalg.svd(affine)
+    first_x, first_y = axes[0]
+    direction = np.degrees(np.arctan2(first_y, first_x)) % 180
+    return scale, float(sizes[0] / sizes[1]), float(direction), residuals

@@ -19,6 +19,8 @@ from planish.core.typing import Array, Bools, Floats, Ints, Singles
 from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import coarsen, rest_lengths
 
+Parts = list[tuple[int, int]]  # first rows, and rows after the last, of the shares of a pass
+
 
 class Team(ThreadPoolExecutor):
     """Threads that share the rows of a pass; what a pass writes does not depend on their number."""
@@ -27,13 +29,14 @@ class Team(ThreadPoolExecutor):
         super().__init__(max(threads - 1, 1))
         self.threads = threads
 
-    def parts(self, rows: int, cols: int) -> list[tuple[int, int]]:
+    def parts(self, rows: int, cols: int) -> Parts:
         """Shares of the padded rows 1 ... rows."""
         # With fewer nodes, a second thread does not pay for being woken.
         count = min(self.threads, rows) if rows * cols >= 100_000 else 1
-        return list(itertools.pairwise(1 + rows * k // count for k in range(count + 1)))
+        borders = [1 + rows * k // count for k in range(count + 1)]
+        return list(itertools.pairwise(borders))
 
-    def run(self, kernel: Callable[..., Any], parts: list[tuple[int, int]], *args: Any) -> None:
+    def run(self, kernel: Callable[..., Any], parts: Parts, *args: Any) -> None:
         """Call ``kernel(*args, r0, r1)`` for all parts."""
         self.each(kernel, [(*args, *part) for part in parts])
 
@@ -51,9 +54,10 @@ class Team(ThreadPoolExecutor):
 def padded(components: int, rows: int, cols: int, dtype: type) -> Array:
     """Zeros (components, rows + 2, width), with a ring of padding.
 
-    Rows start on a multiple of 64 bytes.
+    Rows start on a multiple of 64 bytes: of 16 values of single precision.
     """
-    return np.zeros((components, rows + 2, (cols + 3 + 15) // 16 * 16), dtype)
+    width = (cols + 3 + 15) // 16 * 16
+    return np.zeros((components, rows + 2, width), dtype)
 
 
 def bordered(rows: int, cols: int, dtype: type) -> Array:
@@ -69,12 +73,13 @@ def bordered(rows: int, cols: int, dtype: type) -> Array:
 class Level:
     """One mesh: arrays of ``_kernels``, sums by rows, rows of threads.
 
-    ``alone``: empty rows of a one-thread mesh.
+    ``sums`` (rows + 2, 2) is what passes add up in each padded row; ``alone`` the empty rows beyond
+    a one-thread mesh, which ``smooth`` takes as its ``edge``.
     """
 
     rows: int
     cols: int
-    parts: list[tuple[int, int]]
+    parts: Parts
     rest: Floats
     stiff: Singles
 
@@ -101,6 +106,11 @@ class Level:
         return padded[..., 1 : self.rows + 1, 1 : self.cols + 1]
 
     @property
+    def full_stiff(self) -> Floats:
+        """Stiffness of every spring, (4, rows + 2, width)."""
+        return np.broadcast_to(self.stiff, self.rest.shape).astype(np.float64)
+
+    @property
     def nodes(self) -> Bools:
         """Mask (rows, cols) of the nodes that a spring holds."""
         row_springs, col_springs, falling_springs, rising_springs = self.rest > 0
@@ -112,13 +122,29 @@ class Level:
 
 
 def of_springs(nodes: Array, pair: Callable[[Any, Any], Any], out: Array) -> Array:
-    """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
+    """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring.
+
+    The four families of springs run along rows, along columns, and along both diagonals of a cell;
+    the last row or column of ``out``, where a family has no spring, is left as it is.
+    """
     a, b, c, d = corners_of(nodes)
-    out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
-    out[1, :-1] = pair(nodes[:-1], nodes[1:])
-    out[2, :-1, :-1] = pair(a, c)
-    out[3, :-1, :-1] = pair(b, d)
+    along_rows, along_cols, falling, rising = out
+    along_rows[:, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
+    along_cols[:-1] = pair(nodes[:-1], nodes[1:])
+    falling[:-1, :-1] = pair(a, c)
+    rising[:-1, :-1] = pair(b, d)
     return out
+
+
+def pieces_of(mask: Bools) -> tuple[Array, int]:
+    """Number the pieces of a mask that hang together by sides or corners from 1, and count them."""
+    labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
+    return labels, count
+
+
+def near(mask: Bools) -> Bools:
+    """Nodes of a mask and those up to two rows and columns from one."""
+    return ndimage.binary_dilation(mask, np.ones((3, 3), dtype=bool), iterations=2)
 
 
 def halve(level: Level, team: Team) -> Level:
@@ -126,7 +152,8 @@ def halve(level: Level, team: Team) -> Level:
 
     The last may lie one row or column beyond the fine mesh.
     """
-    rows, cols = level.rows // 2 + 1, level.cols // 2 + 1
+    rows = level.rows // 2 + 1
+    cols = level.cols // 2 + 1
     rest = padded(4, rows, cols, np.float64)
     stiff = padded(4, rows, cols, np.float32)
     parts = team.parts(rows, cols)
@@ -140,14 +167,14 @@ TRUSTED = 0.1  # share of the median weight below which a node does not count in
 def mean_pitch(points: Floats) -> float:
     """Give the mean distance of neighbours along rows and columns, in the unit of ``points``.
 
-    It is taken from some ten rows and some ten columns.
+    It is taken from some ten rows and some ten columns; from all where these hold few neighbours.
     """
     for n_lines in (10, max(points.shape)):
-        rows, cols = (max(1, n // n_lines) for n in points.shape[:2])
+        row_step, col_step = (max(1, n // n_lines) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
-            along_rows = np.diff(points[::rows], axis=1).reshape(-1, 3)
-            along_cols = np.diff(points[:, ::cols], axis=0).reshape(-1, 3)
-            vectors = np.concatenate([along_rows, along_cols])
+            along_rows = np.diff(points[::row_step], axis=1)
+            along_cols = np.diff(points[:, ::col_step], axis=0)
+            vectors = np.concatenate([along_rows.reshape(-1, 3), along_cols.reshape(-1, 3)])
             lengths = np.sqrt(np.sum(vectors * vectors, axis=-1))
         lengths = lengths[np.isfinite(lengths)]
         if lengths.size > 1000:
@@ -205,14 +232,15 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, Ints]:
     is_stiff = np.sum(corners_of(is_node), axis=0) >= 3
     # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are
     # known.
-    passable = np.zeros([2 * n - 1 for n in is_node.shape], dtype=bool)
+    rows, cols = is_node.shape
+    passable = np.zeros((2 * rows - 1, 2 * cols - 1), dtype=bool)
     passable[1::2, 1::2] = is_stiff
     passable[1::2, ::2] = is_node[:-1] & is_node[1:]
     passable[::2, 1::2] = is_node[:, :-1] & is_node[:, 1:]
     labels = ndimage.label(passable)[0][1::2, 1::2]
     sizes = np.bincount(labels[is_stiff])
     if sizes.size == 0:
-        return is_node.copy(), np.zeros(0, dtype=np.intp)
+        return is_node.copy(), sizes
     sheet_cells = (labels == np.argmax(sizes)) & is_stiff
     is_held = np.zeros_like(is_node)
     for corner in corners_of(is_held):
@@ -235,25 +263,28 @@ def impute_nodes(
     points = np.where(is_trusted[..., None], points, np.nan)
     if not is_missing.any():
         return points, weights
-    is_near = ndimage.binary_dilation(is_missing, np.ones((3, 3), dtype=bool), iterations=2)
-    is_local = is_missing | (is_trusted & is_near)
+    is_local = is_missing | (is_trusted & near(is_missing))
     rows, cols = np.nonzero(is_local)
-    n_nodes = rows.size
     node_number = np.full(is_missing.shape, -1)
-    node_number[is_local] = np.arange(n_nodes)
+    node_number[is_local] = np.arange(rows.size)
 
     diff2 = _differences(node_number, (1.0, -2.0, 1.0))
     # A faint pull towards the neighbours settles what no second difference reaches.
     diff1 = _differences(node_number, (1.0, -1.0))
     is_free = is_missing[is_local]
+    is_fixed = ~is_free
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
-    fixed_points = points[is_local][~is_free]
-    plane_basis = np.stack([np.ones(n_nodes), rows, cols], axis=1)
-    plane = plane_basis @ np.linalg.lstsq(plane_basis[~is_free], fixed_points, rcond=None)[0]
-    matrix = (diff2.T @ diff2 + 1e-8 * (diff1.T @ diff1)).tocsc()[is_free]
-    free_matrix = matrix[:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))
-    pull = -(matrix[:, ~is_free] @ (fixed_points - plane[~is_free]))
-    points[is_missing] = plane[is_free] + splu(free_matrix.tocsc()).solve(pull)
+    fixed_points = points[is_local][is_fixed]
+    plane_basis = np.stack([np.ones(rows.size), rows, cols], axis=1)
+    coefficients = np.linalg.lstsq(plane_basis[is_fixed], fixed_points, rcond=None)[0]
+    plane = plane_basis @ coefficients
+    bending = diff2.T @ diff2 + 1e-8 * (diff1.T @ diff1)
+    matrix = bending.tocsc()[is_free]
+    # A trace of a tie to the plane, for nodes that no difference reaches.
+    free_matrix = matrix[:, is_free] + 1e-14 * sparse.eye_array(is_free.sum())
+    pull = -(matrix[:, is_fixed] @ (fixed_points - plane[is_fixed]))
+    moves = splu(free_matrix.tocsc()).solve(pull)
+    points[is_missing] = plane[is_free] + moves
     # Stiff enough to hold a loose corner, too weak to steer the sheet.
     return points, np.where(is_missing, 0.01 * weights.max(), weights)
 
@@ -267,12 +298,12 @@ def _differences(node_number: Ints, coefficients: tuple[float, ...]) -> sparse.c
     order = len(coefficients)
     runs: list[Ints] = []
     for numbers in (node_number, node_number.T):
-        length = len(numbers) + 1 - order
-        shifted = [numbers[k : length + k].ravel() for k in range(order)]
-        runs.append(np.stack(shifted))
-    nodes = np.concatenate(runs, axis=1)
-    nodes = nodes[:, (nodes >= 0).all(axis=0)]
-    n_sums = nodes.shape[1]
-    indices = (np.tile(np.arange(n_sums), order), nodes.ravel())
-    shape = (n_sums, int(node_number.max()) + 1)
-    return sparse.csr_array((np.repeat(coefficients, n_sums), indices), shape=shape)
+        windows = np.lib.stride_tricks.sliding_window_view(numbers, order, axis=0)
+        runs.append(windows.reshape(-1, order))
+    nodes = np.concatenate(runs)
+    nodes = nodes[(nodes >= 0).all(axis=1)]
+    # As many values in each row of the matrix.
+    row_starts = np.arange(0, nodes.size + 1, order)
+    values = np.tile(coefficients, len(nodes))
+    shape = (len(nodes), int(node_number.max()) + 1)
+    return sparse.csr_array((values, nodes.ravel(), row_starts), shape=shape)

@@ -44,8 +44,9 @@ def _weights(steps: int, low: float) -> tuple[np.float32, ...]:
 
     They are the inverse of its roots.
     """
-    roots = np.cos(np.pi * (2 * np.arange(steps) + 1) / (2 * steps))
-    return tuple(np.float32(2 / (_HIGH + low + (_HIGH - low) * root)) for root in roots)
+    angles = np.pi * (2 * np.arange(steps) + 1) / (2 * steps)
+    doubled_roots = _HIGH + low + (_HIGH - low) * np.cos(angles)
+    return tuple((2 / doubled_roots).astype(np.float32))
 
 
 (_ONCE,) = _weights(1, _LOW)
@@ -103,60 +104,79 @@ class Multigrid:
     def __init__(
         self, finest: Level, team: Team, *, gaps: bool, side: float, guarded: bool
     ) -> None:
+        """Make the coarser levels, down to some five rows or columns.
+
+        ``gaps``: whether nodes or springs are missing; ``side``: 1, or -1 where rows and columns
+        run in the opposite sense to u and v; ``guarded``: whether no step may close a cell.
+        """
         self.levels = [finest]
         while min(self.levels[-1].rows, self.levels[-1].cols) > 5:
             self.levels.append(halve(self.levels[-1], team))
-        self.team, self.gaps, self.side, self.guarded = team, gaps, side, guarded
+        self.team = team
+        self.gaps = gaps
+        self.side = side
+        self.guarded = guarded
         self.history: list[Step] = []
         # Share of the excess energy that a cycle is expected to leave, before one has been
         # observed.
         self.rate = 0.1
-        self._corrects_twice, self._is_rough = True, False
+        self._corrects_twice = True
+        self._is_rough = False
         self._previous: _Direction | None = None
         # From here on a level is the work of one thread.
-        alone = (k for k, level in enumerate(self.levels) if k and len(level.parts) == 1)
-        self._first_small = next(alone, len(self.levels))
+        small_levels = (k for k, level in enumerate(self.levels) if k and len(level.parts) == 1)
+        self._first_small = next(small_levels, len(self.levels))
 
     def run(self, tolerance: float) -> Outcome:
-        """Relax all levels, the finest one to ``tolerance``."""
+        """Relax all levels, the finest one to ``tolerance``.
+
+        Each but the coarsest starts from the places of the one below. Gives how the finest ended.
+        """
         self._start(self.levels[-1])
         outcome = Outcome.RESTED
-        for k in range(len(self.levels) - 2, -1, -1):
-            coarse, fine = self.levels[k + 1], self.levels[k]
+        for k in reversed(range(len(self.levels) - 1)):
+            fine, coarse = self.levels[k : k + 2]
             coarse.drop_springs()
             fine.open()
             arrays = (coarse.xy, fine.xy, fine.near)
             self.team.run(interpolate, fine.parts, *arrays, fine.cols, coarse.cols)
             if self.gaps:
                 is_gone = ~fine.nodes
-                fine.inside(fine.xy)[:, is_gone] = fine.inside(fine.near)[:, is_gone] = FAR
-            self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
+                fine.inside(fine.xy)[:, is_gone] = FAR
+                fine.inside(fine.near)[:, is_gone] = FAR
+            arrays = (fine.near, fine.stiff, fine.ease)
+            self.team.run(prepare, fine.parts, *arrays, fine.cols)
             # One step, as a rule: what is left on a coarse level is less than what the finer one
             # adds.
             outcome = self.relax(k, tolerance if k == 0 else 0.1)
         return outcome
 
     def _start(self, level: Level) -> None:
-        """Relax the coarsest mesh exactly, from the mean rest lengths between columns and rows."""
+        """Relax the coarsest mesh exactly, from the mean rest lengths between columns and rows.
+
+        A finer mesh corrects what it leaves, so that 0.3 pitches are near enough then.
+        """
         coordinates: list[Floats] = []
-        for axis, count in enumerate((level.cols, level.rows)):
+        # The first family of springs runs along rows, from column to column; the second down them.
+        for axis in (0, 1):
             lengths = level.inside(level.rest)[axis]
             is_spring = lengths > 0
-            mean_lengths = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
+            counts = np.maximum(is_spring.sum(axis=axis), 1)
+            mean_lengths = lengths.sum(axis=axis) / counts
             typical_length = lengths[is_spring].mean() if is_spring.any() else 1.0
-            mean_lengths = np.where(mean_lengths > 0, mean_lengths, typical_length)[: count - 1]
-            coordinates.append(np.concatenate([[0.0], np.cumsum(mean_lengths)]))
+            mean_lengths[mean_lengths == 0] = typical_length
+            coordinates.append(np.concatenate([[0.0], np.cumsum(mean_lengths[:-1])]))
         level.open()
         self._network = Network.of(level)
         is_node = self._network.mask
         across, down = coordinates
         grid = grid_points(self.side * across, down)
-        uv = relax_exactly(
-            self._network, grid[is_node], tolerance=1e-10 if len(self.levels) == 1 else 0.3
-        )
-        for node_positions in (level.inside(level.xy), level.inside(level.near)):
-            node_positions[:] = FAR
-            node_positions[:, is_node] = uv.T
+        tolerance = 1e-10 if len(self.levels) == 1 else 0.3
+        uv = relax_exactly(self._network, grid[is_node], tolerance=tolerance)
+        for places in (level.xy, level.near):
+            inside = level.inside(places)
+            inside[:] = FAR
+            inside[:, is_node] = uv.T
         self._exact = StiffnessSolver(self._network, uv)
         if self._exact.inverse is None:
             self._first_small = len(self.levels)
@@ -186,7 +206,9 @@ class Multigrid:
             if self._is_near(gain, mean_move, tolerance * energy):
                 is_held = wanted_gain > max(100 * tolerance * energy, gain)
                 return Outcome.HELD_OPEN if is_held else Outcome.RESTED
-            slow_steps += slow_steps > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
+            # From the first one on all count.
+            is_slow = len(gains) > 1 and gain > _SLOW * gains[-2]
+            slow_steps += slow_steps > 0 or is_slow
             # Slow progress may be that of a mesh that folds.
             if self._has_folds(level, slow_steps):
                 return Outcome.FOLDED
@@ -209,7 +231,10 @@ class Multigrid:
         return True
 
     def _take(self, level: Level, energy: float, slow_steps: int) -> tuple[float, float, float]:
-        """Make a move; give the gain that was wanted, that which came of it, and the mean move."""
+        """Make a move; give the gain that was wanted, that which came of it, and the mean move.
+
+        The gain wanted is 0 unless guarded. ``energy`` is that before the move.
+        """
         wanted_gain = 0.0
         if self.guarded:
             wanted_gain = self._guard(level, energy)
@@ -250,7 +275,9 @@ class Multigrid:
         """Go on along the move just made, or back, to where the forces no longer act along it."""
         self.balance(level)
         slope = _dot(level.force, level.move)
-        reach = float(np.clip(gain / (gain - slope), 0.1, 4.0)) if gain > slope else 1.0
+        reach = 1.0
+        if gain > slope:
+            reach = float(np.clip(gain / (gain - slope), 0.1, 4.0))
         level.move *= np.float32(reach - 1)
         self.advance(level)
         return reach * gain, reach * reach * square_move
@@ -267,13 +294,16 @@ class Multigrid:
             if not hold_open(*mesh, OPEN, self.side, level.cols, 1, level.rows):
                 break
             # What is next to a node that is held back may not run into it.
-            np.minimum(move_share, 2 * ndimage.minimum_filter(move_share, size=3), out=move_share)
+            around = ndimage.minimum_filter(move_share, size=3)
+            np.minimum(move_share, 2 * around, out=move_share)
         else:
             move_share[move_share < 1] = 0.0
         level.move *= move_share
         for _ in range(_HALVINGS):
             self.advance(level)
-            has_risen = count_folds(level, self.team, self.side)[0] > energy * (1 + 1e-12)
+            moved_energy, _ = count_folds(level, self.team, self.side)
+            has_risen = moved_energy > energy * (1 + 1e-12)
+            # Back, and on with half of it; or, in the end, with the whole by the caller.
             level.move *= -1
             self.advance(level)
             level.move *= -0.5 if has_risen else -1.0
@@ -285,22 +315,22 @@ class Multigrid:
         """Set the forces of a level and give its energy."""
         arrays = (level.xy, level.rest, level.stiff, level.force, level.sums)
         self.team.run(forces, level.parts, *arrays, level.cols)
-        return float(level.sums[1 : level.rows + 1, 0].sum())
+        return float(level.sums[1:-1, 0].sum())
 
     def advance(self, level: Level) -> tuple[float, float]:
         """Move the nodes; give force times move and the squared move, summed over the nodes."""
         arrays = (level.xy, level.near, level.move, level.force, level.sums)
         self.team.run(advance, level.parts, *arrays, level.cols)
-        work, square_move = level.sums[1 : level.rows + 1].sum(axis=0)
+        work, square_move = level.sums[1:-1].sum(axis=0)
         return float(work), float(square_move)
 
     def _cycle(self, k: int, depth: int = 0) -> None:
-        """Correct level ``k`` for its forces.
+        """Correct level ``k`` for its forces: set its ``move``.
 
-        By smoothing, a correction from the level below, and smoothing again.
+        By smoothing, a correction from the level below, and smoothing again. ``depth`` counts the
+        levels from where the cycle began. The level below is corrected twice where it counts: else
+        its own errors, and those below it, add up.
         """
-        # The level below is corrected twice where it counts: else its own errors, and those below
-        # it, add up.
         level = self.levels[k]
         if depth > 1 and k >= self._first_small:
             # ``descend`` takes eight levels, the last repeated, lest it is compiled anew; one
@@ -314,7 +344,8 @@ class Multigrid:
             return
         if k == len(self.levels) - 1:
             is_node = self._network.mask
-            move = self._exact(level.inside(level.force)[:, is_node].T.astype(np.float64))
+            node_forces = level.inside(level.force)[:, is_node].T
+            move = self._exact(node_forces.astype(np.float64))
             level.inside(level.move)[:, is_node] = move.T
             return
         coarse = self.levels[k + 1]
@@ -328,6 +359,11 @@ class Multigrid:
     def _smooth(
         self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32
     ) -> None:
+        """Smooth the move of a level once.
+
+        It starts from 0 (``kind`` 0), with the correction of ``coarse`` added (1), or as it is (2).
+        ``first`` weighs the start of kind 0, ``weight`` the step.
+        """
         fixed = (level.near, level.stiff, level.ease, level.force)
         borders = level.alone
         calls: list[tuple[object, ...]] = []
@@ -336,12 +372,14 @@ class Multigrid:
                 # Rows that two threads share are copied before either of them moves its own.
                 borders = np.ascontiguousarray(level.move[:, [r0 - 1, r1]])
             moves = (coarse.move, level.move, borders)
-            calls.append((kind, *fixed, *moves, first, weight, level.cols, r0, r1))
+            weights = (first, weight)
+            calls.append((kind, *fixed, *moves, *weights, level.cols, r0, r1))
         self.team.each(smooth, calls)
 
 
 def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:
     """Energy of a level, and how many of its cells are not upright."""
-    team.run(survey, level.parts, level.xy, level.rest, level.stiff, side, level.sums, level.cols)
-    energy, n_folded = level.sums[1 : level.rows + 1].sum(axis=0)
+    arrays = (level.xy, level.rest, level.stiff)
+    team.run(survey, level.parts, *arrays, side, level.sums, level.cols)
+    energy, n_folded = level.sums[1:-1].sum(axis=0)
     return float(energy), int(n_folded)

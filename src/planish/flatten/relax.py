@@ -14,9 +14,9 @@ from planish.core.status import Outcome
 from planish.core.threads import count_threads
 from planish.core.transform import are_known
 from planish.core.typing import Bools, Floats
-from planish.flatten._kernels import GONE
+from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import lay_down, moments
-from planish.flatten.distortion import folded_cells
+from planish.flatten.distortion import cross, folded_cells
 from planish.flatten.levels import (
     TRUSTED,
     Level,
@@ -25,6 +25,8 @@ from planish.flatten.levels import (
     loose_nodes,
     make_springs,
     mean_pitch,
+    near,
+    pieces_of,
     stiffen,
 )
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
@@ -116,7 +118,9 @@ def relax_grid(
     pitch = mean_pitch(points)
     with Team(count_threads()) as team:
         level, springs, straight_share = make_springs(points, pitch, rest, team)
-        has_gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
+        # A whole mesh has this many springs, of all four families.
+        whole_springs = 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
+        has_gaps = springs < whole_springs
         if has_gaps:
             points, dropped = _drop_specks(points)
             if dropped.any():
@@ -124,15 +128,16 @@ def relax_grid(
                 level, springs, straight_share = make_springs(points, pitch, rest, team)
             points, weights, is_brace = _brace(points, weights)
             if is_brace.any():
-                level = make_springs(points, pitch, rest, team)[0]
+                level, _, _ = make_springs(points, pitch, rest, team)
         if weights is not None:
             stiffen(level, weights)
         side = _handedness(points)
         if method == "multigrid":
             steps, outcome, history = _multigrid(level, side, team, tolerance, gaps=has_gaps)
         else:
-            steps, outcome, history = _relaxation(level, points, points[..., :2] / pitch, method)
+            steps, outcome, history = _relaxation(level, points / pitch, method)
         if weights is not None and is_brace.any():
+            # What holds the sheet together while it moves is not part of its energy.
             stiffen(level, np.where(is_brace, 0.0, weights))
         energy, n_folded = count_folds(level, team, side)
         level.drop_springs()
@@ -140,9 +145,10 @@ def relax_grid(
     uv[is_brace] = np.nan
     # Cells that the step rule held open are as good as folded.
     floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
-    folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
     if n_folded or floor:
         folded = folded_cells(points, uv, side=side, floor=floor)
+    else:
+        folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
     if outcome is Outcome.RESTED and folded.any():
         outcome = Outcome.FOLDED
     return Relaxed(
@@ -199,19 +205,21 @@ def _drop_specks(points: Floats) -> tuple[Floats, Bools]:
 
     Give the points, and which nodes were dropped.
     """
-    is_node = are_known(points)
-    labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
+    labels, n_pieces = pieces_of(are_known(points))
     sizes = np.bincount(labels.ravel(), minlength=n_pieces + 1)
     is_small = sizes < _LEAST_SHARE * sizes[1:].sum()
-    is_small[0] = False
+    is_small[0] = False  # not a piece, but what is between them
     is_dropped = is_small[labels]
-    return np.where((is_node & ~is_dropped)[..., None], points, np.nan), is_dropped
+    rest = points.copy()
+    rest[is_dropped] = np.nan
+    return rest, is_dropped
 
 
 def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools]:
     """Add nodes around those that hang loosely on the sheet.
 
-    Give points, weights and the added nodes.
+    Give points, weights and the added nodes. A sheet in pieces whose places to each other the
+    springs do not settle is refused.
     """
     is_node = are_known(points)
     n = np.count_nonzero(is_node)
@@ -219,33 +227,36 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
         raise CannotFlatten(
             f"The mesh has {n} nodes; at least 2 rows and 2 columns are needed. Use a finer mesh."
         )
-    labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
+    labels, n_pieces = pieces_of(is_node)
     if n_pieces > 1:
         sizes = np.bincount(labels.ravel())[1:]
-        sized_pieces = zip(sizes, ndimage.find_objects(labels), strict=True)
-        piece_texts = [
-            f"{size} nodes in rows {rows.start}-{rows.stop - 1} and columns"
-            f" {cols.start}-{cols.stop - 1}"
-            for size, (rows, cols) in sorted(sized_pieces, key=lambda piece: -piece[0])
-        ]
+        places = ndimage.find_objects(labels)
+        piece_texts: list[str] = []
+        for k in np.argsort(-sizes, kind="stable"):
+            rows, cols = places[k]
+            piece_texts.append(
+                f"{sizes[k]} nodes in rows {rows.start}-{rows.stop - 1} and columns"
+                f" {cols.start}-{cols.stop - 1}"
+            )
         raise CannotFlatten(
             f"The sheet falls into {n_pieces} unconnected pieces: {_first_six(piece_texts)}. Their"
             " distance in the plane is not known: flatten each of them by itself."
         )
-    is_loose, sizes = loose_nodes(is_node)
-    sizes = sizes[sizes > 0.02 * sizes.sum()]
-    if sizes.size != 1:
-        sizes_text = _first_six([str(size) for size in np.sort(sizes)[::-1]])
+    is_loose, cell_counts = loose_nodes(is_node)
+    # Stiff parts that are no specks.
+    large = cell_counts[cell_counts > _LEAST_SHARE * cell_counts.sum()]
+    if large.size != 1:
+        counts_text = _first_six([str(count) for count in np.flip(np.sort(large))])
         raise CannotFlatten(
-            f"The sheet falls into {sizes.size} pieces of {sizes_text} cells that hang together by"
+            f"The sheet falls into {large.size} pieces of {counts_text} cells that hang together by"
             " single nodes at most. How they are turned against each other is not known: cut them"
             " apart there, and flatten each by itself."
         )
     if not is_loose.any():
         return points, weights, is_loose
-    is_near = ndimage.binary_dilation(is_loose, np.ones((3, 3), dtype=bool), iterations=2)
-    is_brace = ~is_node & is_near
-    return (*impute_nodes(points, weights, is_node, is_brace), is_brace)
+    is_brace = near(is_loose) & ~is_node
+    points, weights = impute_nodes(points, weights, is_node, is_brace)
+    return points, weights, is_brace
 
 
 def _first_six(texts: list[str]) -> str:
@@ -255,7 +266,8 @@ def _first_six(texts: list[str]) -> str:
 def _impute_doubtful(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools]:
     """Impute the nodes of little weight.
 
-    Give points, the weights if they differ, and the nodes that are imputed.
+    Give points, the weights if they differ (None if not), and the nodes (rows, cols) that are
+    imputed.
     """
     if weights is None:
         return points, None, np.zeros(points.shape[:2], dtype=bool)
@@ -267,17 +279,21 @@ def _impute_doubtful(points: Floats, weights: Floats | None) -> tuple[Floats, Fl
         raise CannotFlatten(
             "A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards."
         )
-    is_doubtful = is_node & (weights < TRUSTED * np.median(node_weights[node_weights > 0]))
-    n_trusted = np.count_nonzero(is_node & ~is_doubtful)
+    least_weight = TRUSTED * np.median(node_weights[node_weights > 0])
+    is_doubtful = is_node & (weights < least_weight)
+    is_trusted = is_node & ~is_doubtful
+    n_trusted = np.count_nonzero(is_trusted)
     if n_trusted < 4:
         raise CannotFlatten(
             f"{n_trusted} nodes have more than a tenth of the median weight, at least 4 are needed."
             " Give the nodes that were measured a higher weight."
         )
     if is_doubtful.any():
-        return (*impute_nodes(points, weights, is_node & ~is_doubtful, is_doubtful), is_doubtful)
-    is_uniform = np.all(node_weights == 1)
-    return points, None if is_uniform else np.where(is_node, weights, 0.0), is_doubtful
+        points, weights = impute_nodes(points, weights, is_trusted, is_doubtful)
+        return points, weights, is_doubtful
+    if np.all(node_weights == 1):
+        return points, None, is_doubtful
+    return points, np.where(is_node, weights, 0.0), is_doubtful
 
 
 def _handedness(points: Floats) -> float:
@@ -285,12 +301,12 @@ def _handedness(points: Floats) -> float:
 
     1 where they do, -1 where they run in the opposite sense, as a whole.
     """
-    rows, cols = (max(1, (n - 1) // 20) for n in points.shape[:2])
-    flat = points[::rows, ::cols, :2]
+    # Some 20 rows and columns tell it.
+    row_step, col_step = (max(1, (n - 1) // 20) for n in points.shape[:2])
+    flat = points[::row_step, ::col_step, :2]
     across = np.diff(flat, axis=1)[:-1]
     down = np.diff(flat, axis=0)[:, :-1]
-    areas = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
-    return -1.0 if np.nansum(areas) < 0 else 1.0
+    return -1.0 if np.nansum(cross(across, down)) < 0 else 1.0
 
 
 def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps: bool) -> Run:
@@ -308,36 +324,48 @@ def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps:
     return finest_steps, outcome, tuple(history)
 
 
-def _relaxation(
-    level: Level, points: Floats, start: Floats, method: Method | RelaxationParams
-) -> Run:
-    """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
-    start = np.where(are_known(points)[..., None], start, np.nan)
+def _relaxation(level: Level, points: Floats, method: Method | RelaxationParams) -> Run:
+    """Relax by the damped motion of Hirn et al. (2009), from the projection.
+
+    ``points`` (rows, cols, 3) are in pitches. The springs of ``level`` are taken, and its ``xy``
+    is set to the places at rest.
+    """
+    start = np.where(are_known(points)[..., None], points[..., :2], np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()
-    rest = level.inside(np.where(level.rest > 0, level.rest, np.nan))
-    stiffness = level.inside(np.broadcast_to(level.stiff, level.rest.shape)).astype(np.float64)
-    relaxation = relax_dynamically(start, rest, stiffness=stiffness, params=params)
+    lengths = np.where(level.rest > 0, level.rest, np.nan)
+    stiffness = level.inside(level.full_stiff)
+    relaxation = relax_dynamically(start, level.inside(lengths), stiffness=stiffness, params=params)
     level.open()
     uv = np.moveaxis(relaxation.uv, -1, 0)
     is_node = np.isfinite(uv)
-    level.inside(level.xy)[:] = np.where(is_node, uv, 10 * GONE)
+    level.inside(level.xy)[:] = np.where(is_node, uv, FAR)
     n_nodes = int(np.count_nonzero(is_node[0]))
     motion = relaxation.history
-    moves = zip(motion.energy, motion.mean_speed * motion.dt, strict=True)
+    mean_moves = motion.mean_speed * motion.dt
+    moves = zip(motion.energy, mean_moves, strict=True)
+    # It expects no gain before a step.
     history = tuple(Step(n_nodes, energy, np.nan, move) for energy, move in moves)
     return relaxation.steps, relaxation.outcome, history
 
 
 def _lay_on_projection(level: Level, points: Floats, pitch: float, team: Team) -> Floats:
+    """Turn and shift the places of ``level`` onto ``points`` (x, y), the least squares' way.
+
+    Gives them (rows, cols, 2) in the unit of ``points``; ``level`` has them in pitches.
+    """
     row_sums = np.zeros((level.rows + 2, 7))
     team.run(moments, level.parts, points, 1 / pitch, level.xy, row_sums)
+    # Sums over the nodes of places (u, v) and of targets (p, q), and of their products.
     n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)
     n_nodes = max(n_nodes, 1.0)
-    cross = sum_cross - (u * q - v * p) / n_nodes
-    angle = np.arctan2(cross, sum_dot - (u * p + v * q) / n_nodes)
+    cross_sum = sum_cross - (u * q - v * p) / n_nodes
+    dot_sum = sum_dot - (u * p + v * q) / n_nodes
+    angle = np.arctan2(cross_sum, dot_sum)
     cos = float(np.cos(angle))
     sin = float(np.sin(angle))
-    shift = (p - cos * u + sin * v) / n_nodes, (q - sin * u - cos * v) / n_nodes
-    team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, level.cols)
+    shift_u = (p - cos * u + sin * v) / n_nodes
+    shift_v = (q - sin * u - cos * v) / n_nodes
+    motion = (cos, sin, shift_u, shift_v, pitch)
+    team.run(lay_down, level.parts, level.xy, *motion, level.cols)
     # In place, u and v apart: a copy would cost as much memory as all the corrections.
     return np.moveaxis(level.inside(level.xy), 0, -1)

@@ -11,7 +11,7 @@ import numpy as np
 from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
 from planish.core.transform import are_known
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats
 from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.distortion import folded_cells, triangle_areas
 from planish.flatten.levels import of_springs
@@ -135,7 +135,7 @@ def relax_dynamically(
     """
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
-    stiff = np.ones_like(rest) if stiffness is None else np.asarray(stiffness, dtype=np.float64)
+    stiff = np.asarray(np.ones_like(rest) if stiffness is None else stiffness, dtype=np.float64)
     spring_shape = (4, *start.shape[:2])
     if start.shape[2:] != (2,) or not rest.shape == stiff.shape == spring_shape:
         raise CannotFlatten(
@@ -147,21 +147,21 @@ def relax_dynamically(
     tied = of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool))
     tied &= np.isfinite(rest) & np.isfinite(stiff)
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
-    x = _framed(np.where(is_node, start.transpose(2, 0, 1), 0.0))
-    lengths = _framed(np.where(tied, rest, 0.0))
-    springs = lengths, _framed(np.where(tied, stiff / unit, 0.0))
-    mask = _framed(is_node.astype(np.float64))
+    x = _framed(np.moveaxis(start, -1, 0), is_node)
+    springs = (_framed(rest, tied), _framed(stiff / unit, tied))
+    mask = _framed(np.ones_like(start[..., 0]), is_node)
     # a mesh that leaves the finite numbers is an outcome.
     with np.errstate(invalid="ignore", over="ignore"):
         outcome, energy, log = _motion(x, springs, mask, params or RelaxationParams())
-        inside = x[:, 1:-1, 1:-1].transpose(1, 2, 0)
+        inside = np.moveaxis(x[:, 1:-1, 1:-1], 0, -1)
         uv = np.where(is_node[..., None], inside, np.nan)
         side = np.sign(np.nansum(triangle_areas(start)))
         inverted = int(np.count_nonzero(folded_cells(start, uv, side=side)))
     if inverted and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
-    log[:, 4] *= unit
-    history = MotionHistory(np.arange(1.0, len(log) + 1), *log.T)
+    log[:, 4] *= unit  # the energy
+    step_numbers = np.arange(1.0, len(log) + 1)
+    history = MotionHistory(step_numbers, *log.T)
     return Relaxation(
         uv=uv,
         energy=energy * unit,
@@ -173,7 +173,11 @@ def relax_dynamically(
 
 
 def _difference_weights(mask: Floats) -> Floats:
-    """Weights of the differences to the neighbours right, left, below and above (4, rows, cols)."""
+    """Weights of the differences to the neighbours right, left, below and above (4, rows, cols).
+
+    ``mask`` is framed, 1 at nodes. A half where both neighbours of a pair are nodes, 1 where only
+    this one is, 0 where it is not.
+    """
     left = np.roll(mask, 1, axis=1)
     right = np.roll(mask, -1, axis=1)
     above = np.roll(mask, 1, axis=0)
@@ -205,7 +209,9 @@ def _is_at_rest(
     """Whether a mesh that has been slow for so long rests, by Eq. (6) as ``stop`` reads it."""
     if p.stop == "first":
         return has_moved and calm_time > 0.0
-    return calm_time >= period if p.stop == "sustained" else largest_force < p.residual
+    if p.stop == "sustained":
+        return calm_time >= period
+    return largest_force < p.residual
 
 
 def _motion(
@@ -213,7 +219,8 @@ def _motion(
 ) -> tuple[Outcome, float, Floats]:
     """Move ``x`` (2, rows + 2, cols + 2) until it rests.
 
-    Give the energy, and time step, damping ... of each step.
+    Give how it ended, the energy, and of each step (steps, 5) its time step, damping, gradient,
+    mean speed and energy. ``mask`` is 1 at nodes; all arrays are framed.
     """
     weights = _difference_weights(mask)
     nodes = np.count_nonzero(mask)
@@ -280,17 +287,20 @@ def _runge_kutta(
     ``f``, the force, is overwritten.
     """
     stage_x, stage_v, new_x, new_v = x, v, x, v
-    stages = ((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))
-    for weight, stage_dt in stages:
+    weights = (dt / 6, dt / 3, dt / 3, dt / 6)
+    # How far from the start the next force is asked for; after the last it is not.
+    stage_steps = (dt / 2, dt / 2, dt, 0.0)
+    for weight, stage_dt in zip(weights, stage_steps, strict=True):
         set_force(stage_x, *springs, f)
         acceleration = f - c * stage_v
-        new_x, new_v = new_x + weight * stage_v, new_v + weight * acceleration
-        stage_x, stage_v = x + stage_dt * stage_v, v + stage_dt * acceleration
+        new_x = new_x + weight * stage_v
+        new_v = new_v + weight * acceleration
+        stage_x = x + stage_dt * stage_v
+        stage_v = v + stage_dt * acceleration
     return new_x, new_v
 
 
-def _framed(values: Floats) -> Floats:
-    *families, rows, cols = values.shape
-    frame = np.zeros((*families, rows + 2, cols + 2))
-    frame[..., 1:-1, 1:-1] = values
-    return frame
+def _framed(values: Floats, mask: Bools) -> Floats:
+    """Values (..., rows, cols) with a ring around them; 0 there and where the mask is not set."""
+    ring = ((0, 0),) * (values.ndim - 2) + ((1, 1), (1, 1))
+    return np.pad(np.where(mask, values, 0.0), ring)

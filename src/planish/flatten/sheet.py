@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy import ndimage
 
 from planish.core.arrays import check_dataset
 from planish.core.errors import CannotFlatten
@@ -19,6 +18,7 @@ from planish.core.robust import percentiles
 from planish.core.typing import Bools, Floats, Ints
 from planish.flatten.curvature import CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
+from planish.flatten.levels import pieces_of
 from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
 
@@ -125,24 +125,27 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     columns = _flat_columns(surfaces, mesh, relaxed, frame)
     flat = columns.assign_attrs(neutral=neutral, rest=params.rest)
     strain = cell_strain(points, relaxed.uv)
-    for axis, dim, nodes_um in (("y", "row", mesh.y_um), ("x", "col", mesh.x_um)):
-        strain.coords[axis] = dim, 0.5 * (nodes_um[1:] + nodes_um[:-1]), {"units": "um"}
+    strain.coords["y"] = "row", _middles(mesh.y_um), {"units": "um"}
+    strain.coords["x"] = "col", _middles(mesh.x_um), {"units": "um"}
     # The same lines in the same sheet every time.
-    distortion = measure_distortion(points, relaxed.uv, strain, rng=np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    distortion = measure_distortion(points, relaxed.uv, strain, rng=rng)
     curvature = curvature_check(points)
     cells = ("row", "col")
     strain["gaussian_curvature"] = cells, _at_cells(curvature.curvature), {"units": "1/um2"}
     strain["needed_strain"] = cells, _at_cells(curvature.strain)
-    strains = np.concatenate([edges.ravel() for edges in edge_strain(points, relaxed.uv)])
-    edge_p95, edge_max = percentiles(np.abs(strains), 95, 100)
-    moves = np.hypot(*(flat[axis].values - flat[f"projected_{axis}"].values for axis in "uv"))
+    along_rows, along_cols = edge_strain(points, relaxed.uv)
+    spring_strains = np.concatenate([along_rows.ravel(), along_cols.ravel()])
+    edge_p95, edge_max = percentiles(np.abs(spring_strains), 95, 100)
+    moves_u = flat["u"] - flat["projected_u"]
+    moves_v = flat["v"] - flat["projected_v"]
     quality = FlatteningQuality(
         outcome=relaxed.outcome.name,
         sentence=relaxed.outcome.value,
         steps=relaxed.steps,
         energy_um2=relaxed.energy,
         mesh_um=mesh.pitch_um,
-        folded_cells=int(np.count_nonzero(relaxed.folded)),
+        folded_cells=relaxed.folded.sum(),
         edge_strain_p95=edge_p95,
         edge_strain_max=edge_max,
         method=params.method,
@@ -151,9 +154,10 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         straight_share=relaxed.straight_share,
         distortion=distortion,
         curvature=CurvatureVerdict.holding(curvature),
-        largest_move_um=float(np.nanmax(moves)),
+        largest_move_um=np.nanmax(np.hypot(moves_u, moves_v)),
     )
-    return Flattened(flat=flat, strain=strain.assign(_progress(relaxed)), quality=quality)
+    strain = strain.assign(_progress(relaxed))
+    return Flattened(flat=flat, strain=strain, quality=quality)
 
 
 class SheetMesh(NamedTuple):
@@ -180,17 +184,20 @@ class SheetMesh(NamedTuple):
         ``offset`` is vertical, in um.
         """
         height = self.points[..., 2]
-        node_offset = offset[np.ix_(self.rows, self.cols)]
-        node_offset = np.where(np.isfinite(height), np.nan_to_num(node_offset), 0.0)
+        node_offset = np.nan_to_num(offset[np.ix_(self.rows, self.cols)])
         order = 2 if min(height.shape) > 2 else 1
         down, across = np.gradient(filled(height), self.y_um, self.x_um, edge_order=order)
-        normals = np.stack([-across, -down, np.ones(height.shape)], axis=-1)
+        normals = np.stack([-across, -down, np.ones_like(height)], axis=-1)
+        # A vertical offset, along a normal that is not of unit length.
         way = node_offset / (1 + down**2 + across**2)
         return self.points + normals * way[..., None]
 
 
 def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
-    """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised."""
+    """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised.
+
+    Without ``mesh_um`` it is four columns wide, or as many as keep the mesh to four million nodes.
+    """
     y, x, centre = (surfaces[name].values for name in ("y", "x", "centre"))
     is_sheet = _largest_piece(np.isfinite(centre))
     pitch_um = pitch(surfaces)
@@ -203,7 +210,8 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     rows = _mesh_indices(y.size, row_step)
     cols = _mesh_indices(x.size, col_step)
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
-    height = np.where(is_sheet, centre, np.nan)[np.ix_(rows, cols)]
+    sheet_height = np.where(is_sheet, centre, np.nan)
+    height = sheet_height[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
     return SheetMesh(
@@ -226,7 +234,12 @@ def node_weights(surfaces: xr.Dataset, rows: Ints, cols: Ints) -> Floats | None:
     if "status" not in surfaces:
         return None
     # It holds the sheet together there, and leaves its shape to what was measured.
-    return np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, 0.2)
+    status = surfaces["status"].values[np.ix_(rows, cols)]
+    return np.where(status == 0, 1.0, 0.2)
+
+
+def _middles(nodes_um: Floats) -> Floats:
+    return 0.5 * (nodes_um[1:] + nodes_um[:-1])
 
 
 def _at_cells(nodes: Floats) -> Floats:
@@ -237,10 +250,12 @@ def _at_cells(nodes: Floats) -> Floats:
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
     """Give the history of the solver over ``step``.
 
-    Nodes of the mesh, energy, and the mean move of a node in the step.
+    Nodes of the mesh, energy, and the mean move of a node in the step. The solver has them in mean
+    pitches.
     """
     steps = [(step.nodes, step.energy, step.move) for step in relaxed.history]
-    nodes, energy, mean_move = np.array(steps, dtype=np.float64).reshape(-1, 3).T
+    columns = np.array(steps, dtype=np.float64).reshape(-1, 3)
+    nodes, energy, mean_move = columns.T
     energy_attrs = {"units": "um2", "long_name": "Spring energy"}
     move_attrs = {"units": "um", "long_name": "Mean move"}
     return {
@@ -252,7 +267,7 @@ def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]
 
 def _largest_piece(mask: Bools) -> Bools:
     """Keep the largest connected piece; fragments beside it have no place in the plane."""
-    labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
+    labels, count = pieces_of(mask)
     if count == 0:
         raise CannotFlatten("The centre surface is empty; there is nothing to flatten.")
     sizes = np.bincount(labels.ravel())
@@ -260,27 +275,33 @@ def _largest_piece(mask: Bools) -> Bools:
 
 
 def _mesh_indices(n_columns: int, step: int) -> Ints:
+    """Every ``step``-th of n columns, and the last one."""
     indices = np.arange(0, n_columns, step)
     if indices[-1] == n_columns - 1:
         return indices
     # The last cell would be a sliver: it is widened instead.
-    is_sliver = n_columns - 1 - indices[-1] < step / 2 and indices.size > 2
-    return np.append(indices[:-1] if is_sliver else indices, n_columns - 1)
+    is_sliver = n_columns - 1 - indices[-1] < step / 2
+    if is_sliver and indices.size > 2:
+        indices = indices[:-1]
+    return np.append(indices, n_columns - 1)
 
 
 def _flat_columns(
     surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame: Frame
 ) -> xr.Dataset:
-    """Carry every column of the sheet along with the mesh; NaN in its folded cells."""
+    """Carry every column of the sheet along with the mesh; NaN in its folded cells.
+
+    Gives the variables of :class:`Flattened`'s ``flat``. Seen from the top, a mirrored sheet runs
+    from right to left: u is then counted from its other end.
+    """
     rows, cols = mesh.rows, mesh.cols
     y, x = np.meshgrid(surfaces["y"].values, surfaces["x"].values, indexing="ij")
     # Bilinear between the nodes of the mesh, filled by the nearest node outside.
-    r, c = (
-        np.interp(np.arange(n), indices, np.arange(indices.size))
-        for n, indices in zip(x.shape, (rows, cols), strict=True)
-    )
+    mesh_row = np.interp(np.arange(len(x)), rows, np.arange(rows.size))
+    mesh_col = np.interp(np.arange(x.shape[1]), cols, np.arange(cols.size))
+    places = np.ix_(mesh_row, mesh_col)
     node_moves = np.moveaxis(relaxed.uv - mesh.points[..., :2], -1, 0)
-    u_moves, v_moves = (bilinear(filled(moves), r[:, None], c[None]) for moves in node_moves)
+    u_moves, v_moves = (bilinear(filled(moves), *places) for moves in node_moves)
     is_valid = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
         cell_rows = slice(rows[i], rows[i + 1] + 1)
@@ -295,10 +316,10 @@ def _flat_columns(
         "projected_u": (projected_u, "Projected coordinate u"),
         "projected_v": (y, "Projected coordinate v"),
     }
-    flat = xr.Dataset(
-        coords=surfaces.coords, attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)}
-    )
+    flat_attrs = frame.attrs() | {"mirrored_view": int(frame.mirrored)}
+    flat = xr.Dataset(coords=surfaces.coords, attrs=flat_attrs)
     for name, (values, title) in values_and_titles.items():
         attrs = {"units": "um", "long_name": title}
-        flat[name] = ("y", "x"), np.where(is_valid, values, np.nan), attrs
+        values = np.where(is_valid, values, np.nan)
+        flat[name] = ("y", "x"), values, attrs
     return flat

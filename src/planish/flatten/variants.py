@@ -1,5 +1,6 @@
 """Flatten the sheet again, with another neutral surface or another spacing through the sheet."""
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 
@@ -48,20 +49,18 @@ def flat_moves(
     """
     centre = surfaces["centre"].values
     row_um, col_um = pitch(surfaces)
-    area_um2 = float(np.count_nonzero(np.isfinite(centre))) * abs(row_um * col_um)
-    mesh_um = max(float(np.sqrt(area_um2 / _MOST_NODES)), 4 * abs(row_um))
+    area_um2 = np.isfinite(centre).sum() * abs(row_um * col_um)
+    mesh_um = max(math.sqrt(area_um2 / _MOST_NODES), 4 * abs(row_um))
     mesh = sheet_mesh(surfaces, mesh_um)
     neutral_offset = np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape)
-    neutral_uv, *other_uvs = (
-        relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
-        for offset in (neutral_offset, *others.values())
-    )
+    sheets = [mesh.raised(offset) for offset in (neutral_offset, *others.values())]
+    neutral_flat, *other_flats = (relax_grid(m, rest=rest, weights=mesh.weights) for m in sheets)
     u_sign = -1.0 if Frame.of(surfaces).mirrored else 1.0
     moves = xr.Dataset(coords={"y": mesh.y_um, "x": mesh.x_um})
-    for name, uv in zip(others, other_uvs, strict=True):
-        move_uv = uv - neutral_uv
-        moves[f"{name}_u"] = ("y", "x"), filled(u_sign * move_uv[..., 0]), {"units": "um"}
-        moves[f"{name}_v"] = ("y", "x"), filled(move_uv[..., 1]), {"units": "um"}
+    for name, other_flat in zip(others, other_flats, strict=True):
+        move_u, move_v = np.moveaxis(other_flat.uv - neutral_flat.uv, -1, 0)
+        moves[f"{name}_u"] = ("y", "x"), filled(u_sign * move_u), {"units": "um"}
+        moves[f"{name}_v"] = ("y", "x"), filled(move_v), {"units": "um"}
     return moves
 
 
@@ -94,18 +93,19 @@ def places_when_scaled(
     Only differences of two flattenings of the same coarse mesh are used, so that its own error
     cancels.
     """
-    pitch_um = pitch(surfaces)
-    is_sheet = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)
-    area = np.count_nonzero(is_sheet) * pitch_um[0] * pitch_um[1]
-    # The moves are differences of two flattenings, smooth over the 400 um of the centre surface.
-    wanted_um = mesh_um or max(min(50.0, np.sqrt(area / 5_000)), np.sqrt(area / 100_000))
-    rows, cols = (
-        _even_indices(n, step_um / wanted_um)
-        for n, step_um in zip(is_sheet.shape, pitch_um, strict=True)
-    )
+    row_um, col_um = pitch(surfaces)
+    centre = surfaces["centre"].values
+    is_sheet = np.isfinite(flat["u"].values) & np.isfinite(centre)
+    area_um2 = is_sheet.sum() * row_um * col_um
+    # The moves are differences of two flattenings, smooth over the 400 um of the centre surface:
+    # 5000 nodes, or what is 50 um apart, but 100 000 at most.
+    usual_um = min(50.0, math.sqrt(area_um2 / 5_000))
+    wanted_um = mesh_um or max(usual_um, math.sqrt(area_um2 / 100_000))
+    rows = _even_indices(len(is_sheet), row_um / wanted_um)
+    cols = _even_indices(is_sheet.shape[1], col_um / wanted_um)
     mesh_nodes = np.ix_(rows, cols)
     is_node = is_sheet[mesh_nodes]
-    height = np.where(is_node, surfaces["centre"].values[mesh_nodes], np.nan)
+    height = np.where(is_node, centre[mesh_nodes], np.nan)
     across, down = np.meshgrid(surfaces["x"].values[cols], surfaces["y"].values[rows])
     weights = node_weights(surfaces, rows, cols)
     uv_by_scale: dict[float, Floats] = {}
@@ -118,15 +118,19 @@ def places_when_scaled(
     if 1.0 not in uv_by_scale:
         return np.ones(1), points[None].copy()
     moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
-    moves[..., 0] *= -1.0 if Frame.of(surfaces).mirrored else 1.0
-    flat_points = np.stack([flat[k].values[mesh_nodes][is_node] for k in "uv"], axis=1)
+    if Frame.of(surfaces).mirrored:
+        moves[..., 0] *= -1.0
+    node_u, node_v = (flat[name].values[mesh_nodes][is_node] for name in "uv")
     # (nodes, scales * 2), and of the points likewise.
-    interpolate = LinearNDInterpolator(flat_points, moves.reshape(len(flat_points), -1))
+    columns = moves.reshape(len(moves), -1)
+    interpolate = LinearNDInterpolator(np.stack([node_u, node_v], axis=1), columns)
     shifts = interpolate(points).reshape(len(points), -1, 2)
-    return np.array(list(uv_by_scale)), points + np.moveaxis(shifts, 1, 0)
+    scales = np.array(list(uv_by_scale))
+    return scales, points + np.moveaxis(shifts, 1, 0)
 
 
 def _even_indices(n: int, share: float) -> Ints:
     """Some of n indices, three or more, both ends among them, ``1 / share`` apart."""
     count = max(3, round((n - 1) * share) + 1)
-    return np.unique(np.linspace(0, n - 1, count).round().astype(np.intp))
+    indices = np.linspace(0, n - 1, count).round()
+    return np.unique(indices.astype(np.intp))
