@@ -4,12 +4,13 @@ Base and coating are each compared with themselves at one depth, from histograms
 with the factor.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from planish.core.robust import running_sums
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Floats, Pair
 from planish.correct.params import Cupping, Trend, Trends
 from planish.correct.sums import (
     BASE,
@@ -45,10 +46,12 @@ def _jackknife_errors(estimates: Floats) -> Floats:
     """Standard errors (...,) from values (group, ...) with each group left out."""
     n = len(estimates)
     squares = (estimates - estimates.mean(axis=0)) ** 2
-    return np.sqrt((n - 1) / n * np.sum(squares, axis=0))
+    variance = (n - 1) / n * np.sum(squares, axis=0)
+    return np.sqrt(variance)
 
 
 def _loss_percent(coefficient: float) -> float:
+    """Loss of grey in the middle against the largest radius, by the coefficient of the factor."""
     return 100.0 * (1.0 - 1.0 / max(1.0 + coefficient, 1e-3))
 
 
@@ -77,13 +80,14 @@ def find_cupping(
     histograms = sums.histogram.reshape(-1, *sums.histogram.shape[2:])
     histograms = histograms[histograms.sum(axis=(1, 2, 3)) > 0]
     voxel_counts = histograms.sum(axis=(0, 2, 3))
-    radius_bins = np.flatnonzero(voxel_counts > 0.002 * max(int(voxel_counts.max()), 1))
+    least_count = 0.002 * max(voxel_counts.max(), 1)
+    radius_bins = np.flatnonzero(voxel_counts > least_count)
     if radius_bins.size < _LEAST_RADII:
         return None, (), _TOO_FEW
     # The largest radius at which there is some sheet.
     reach_um = float((radius_bins[-1] + 1) * turning.farthest_um / COARSE)
     # Mean height of the rings over the sheet's voxels at each radius of the histogram.
-    sheet_counts = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
+    sheet_counts = sums.count[:, :, BASE:].sum(axis=(0, 1, 2))
     radius_um = (np.arange(rings.size) + 0.5) * turning.step_um
     coarse_bin = turning.coarse_bins(radius_um)
     weights = np.maximum(np.bincount(coarse_bin, sheet_counts, COARSE), 1.0)
@@ -95,7 +99,8 @@ def find_cupping(
         fit = _fit_material(histograms, material, levels, share, offset)
         if fit is not None:
             fits.append(fit)
-            trends += (Trend(material=MATERIALS[material], before=fit.percent, se=fit.se),)
+            trend = Trend(material=MATERIALS[material], before=fit.percent, se=fit.se)
+            trends += (trend,)
     if not fits:
         return None, (), _TOO_FEW
     shared, is_agreed = _join_materials(fits)
@@ -107,9 +112,8 @@ def find_cupping(
         why = "no trend against the radius beyond its error"
     if why:
         return None, trends, f"Cupping: {why} ({losses}), nothing was corrected."
-    cupping = Cupping(
-        percent=shared.percent, se=shared.se, powers=(shared.coefficient,), reach_um=reach_um
-    )
+    powers = (shared.coefficient,)
+    cupping = Cupping(percent=shared.percent, se=shared.se, powers=powers, reach_um=reach_um)
     text = f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({losses})."
     return cupping, trends, text
 
@@ -119,15 +123,21 @@ def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
 
     Divided by it, the correction keeps the sheet's mean grey.
     """
-    voxel_counts = sums.histogram.sum(axis=(0, 1, 3, 4)).astype(np.float64)
+    voxel_counts = sums.histogram.sum(axis=(0, 1, 3, 4))
     factors = factor(cupping.powers, turning.coarse_um / cupping.reach_um)
-    return float(np.sum(voxel_counts * factors) / max(voxel_counts.sum(), 1.0))
+    total = np.sum(voxel_counts * factors)
+    return float(total / max(voxel_counts.sum(), 1))
 
 
 def _fit_material(
     histograms: Counts, material: int, levels: Levels, share: Floats, offset: Floats
 ) -> _Fit | None:
-    """Fit the factor of one material; None where there are too few of its voxels."""
+    """Fit the factor of one material; None where there are too few of its voxels.
+
+    ``histograms`` (group, radius, depth, grey); ``share`` and ``offset`` (radius,): the radius over
+    the reach, and the mean height of the rings there, in contrasts. Its error is that of the groups
+    left out one by one, and of depths that contradict each other.
+    """
     if material == BRIGHT and not np.isfinite(levels.middle):
         return None
     border_grey = (levels.middle - levels.air) / levels.contrast  # In contrasts above air.
@@ -136,18 +146,20 @@ def _fit_material(
     full_fit = _fit_coefficients(total_histogram, limits, share, offset)
     if full_fit is None:
         return None
-    partial_fits = (
-        _fit_coefficients(total_histogram - h, limits, share, offset) for h in histograms
-    )
-    jackknife_fits = list(filter(None, partial_fits))
-    if len(jackknife_fits) < 3:
+    losses: list[float] = []
+    replicates: list[Floats] = []
+    for histogram in histograms:
+        fit = _fit_coefficients(total_histogram - histogram, limits, share, offset)
+        if fit is not None:
+            losses.append(_loss_percent(fit[0]))
+            replicates.append(fit[1])
+    if len(losses) < 3:
         return None
     coefficient, depth_coefficients = full_fit
-    coefficients, replicates = zip(*jackknife_fits, strict=True)
-    losses = np.array([*map(_loss_percent, coefficients)])
-    loss_se = float(_jackknife_errors(losses))
-    variance = loss_se**2 + _variance_of_depths(depth_coefficients, np.array(replicates))
-    return _Fit(coefficient, _loss_percent(coefficient), float(np.sqrt(variance)))
+    loss_se = _jackknife_errors(np.array(losses))
+    depth_variance = _variance_of_depths(depth_coefficients, np.array(replicates))
+    se = math.sqrt(loss_se**2 + depth_variance)
+    return _Fit(coefficient, _loss_percent(coefficient), se)
 
 
 def _variance_of_depths(coefficients: Floats, replicates: Floats) -> float:
@@ -155,6 +167,8 @@ def _variance_of_depths(coefficients: Floats, replicates: Floats) -> float:
 
     A true cupping is the same at every depth; a coating that is thinner in the middle is not.
     Depths do not err alike by chance only: what they scatter is an error of their mean.
+    ``coefficients`` (depth,) of all voxels, ``replicates`` (group, depth) with each group left out;
+    NaN where a depth has no grey.
     """
     is_valid = np.isfinite(coefficients) & np.isfinite(replicates).all(axis=0)
     if np.count_nonzero(is_valid) < 2:
@@ -163,9 +177,9 @@ def _variance_of_depths(coefficients: Floats, replicates: Floats) -> float:
     se = 100.0 * _jackknife_errors(replicates[:, is_valid])
     variance = np.maximum(se, 1e-3) ** 2
     w = 1.0 / variance
-    mean_loss = float(np.sum(w * losses) / w.sum())
-    excess_variance = float(np.mean((losses - mean_loss) ** 2 - variance))
-    return max(excess_variance, 0.0)
+    mean_loss = np.sum(w * losses) / w.sum()
+    excess_variance = np.mean((losses - mean_loss) ** 2 - variance)
+    return max(float(excess_variance), 0.0)
 
 
 def _fit_coefficients(
@@ -173,14 +187,17 @@ def _fit_coefficients(
 ) -> tuple[float, Floats] | None:
     """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth.
 
-    Give p, and p of each depth alone.
+    Give p, and p of each depth alone; None where there is too little of the material.
+    ``histogram`` (radius, depth, grey); the material has the greys between ``limits`` in the
+    middle, in contrasts above air, and its borders move with the factor.
     """
     low, high = limits
-    row_counts = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
+    n_depths, n_greys = histogram.shape[1:]
+    # A row for each radius and depth.
+    row_counts = histogram.reshape(-1, n_greys)
     row_sums = row_counts * (GREYS[:-1] + 0.5 * GREY_STEP)
     total_counts = running_sums(row_counts)
     total_greys = running_sums(row_sums)
-    n_depths = histogram.shape[1]
     t = np.repeat(np.minimum(share, 1.0) ** 2, n_depths)
     offset = np.repeat(offset, n_depths)
     depth = np.tile(np.arange(n_depths), COARSE)
@@ -202,26 +219,34 @@ def _fit_coefficients(
         grey = _sum_between(total_greys, *borders) / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         is_used = (n > 0.02 * n.max()) & ~is_mixed[depth]
-        is_used &= (np.bincount(depth, is_used, n_depths) >= _LEAST_RADII)[depth]
+        radius_counts = np.bincount(depth, is_used, n_depths)
+        is_used &= radius_counts[depth] >= _LEAST_RADII
         if n.sum() < 3000 or not is_used.any():  # of a material
             return None
-        level = np.bincount(depth, np.where(is_used, n * grey / factors, 0.0), n_depths)
-        level /= np.maximum(np.bincount(depth, np.where(is_used, n, 0.0), n_depths), 1.0)
+        used_n = np.where(is_used, n, 0.0)
+        depth_n = np.bincount(depth, used_n, n_depths)
+        level = np.bincount(depth, used_n * grey / factors, n_depths) / np.maximum(depth_n, 1.0)
         if level[depth[is_used]].min() <= 0:
             return None
-        step = _coefficient_step(
-            level, depth[is_used], factors[is_used], t[is_used], grey[is_used], n[is_used]
-        )
+        step = _coefficient_step(level, depth, factors, t, grey, used_n)
         coefficient = min(max(coefficient + step, -0.5), 1.0)
         if abs(step) < 1e-5:
             break
-    depths = [_depth_coefficient(t, grey, n, is_used & (depth == d)) for d in range(n_depths)]
+    depths: list[float] = []
+    for k in range(n_depths):
+        is_of_depth = is_used & (depth == k)
+        depths.append(_depth_coefficient(t[is_of_depth], grey[is_of_depth], n[is_of_depth]))
     return coefficient, np.array(depths)
 
 
 def _coefficient_step(
     level: Floats, depth: Counts, factors: Floats, t: Floats, grey: Floats, n: Floats
 ) -> float:
+    """Change of the coefficient that fits the greys better, with a change of each depth's level.
+
+    ``level`` (depth,); the others of each row: number of its depth, factor, share², grey, and the
+    voxels that count.
+    """
     # grey = (level + its change) (factor + change of the coefficient t), to first order. A second
     # power costs more in noise than a beam hardened by a sheet of paper has.
     design = np.zeros((grey.size, level.size + 1))
@@ -229,17 +254,16 @@ def _coefficient_step(
     design[:, -1] = level[depth] * t
     sqrt_n = np.sqrt(n)
     residual = grey - level[depth] * factors
-    solution = np.linalg.lstsq(design * sqrt_n[:, None], residual * sqrt_n, rcond=None)[0]
+    weighted_design = design * sqrt_n[:, None]
+    solution = np.linalg.lstsq(weighted_design, residual * sqrt_n, rcond=None)[0]
     return float(solution[-1])
 
 
-def _depth_coefficient(t: Floats, grey: Floats, n: Floats, is_used: Bools) -> float:
+def _depth_coefficient(t: Floats, grey: Floats, n: Floats) -> float:
     """Fit the coefficient of one depth alone; NaN where it has no grey."""
-    if not is_used.any():
+    if not t.size:
         return np.nan
-    level, slope = np.polynomial.polynomial.polyfit(
-        t[is_used], grey[is_used], 1, w=np.sqrt(n[is_used])
-    )
+    level, slope = np.polynomial.polynomial.polyfit(t, grey, 1, w=np.sqrt(n))
     return slope / level if level > 0 else np.nan
 
 
@@ -248,11 +272,15 @@ def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def _sum_below(running_sum: Floats, grey: Floats) -> Floats:
+    """Sum of each row (row,) up to a grey (row,), linear within a bin of the histogram."""
     rows = np.arange(len(running_sum))
-    x = np.clip((grey - GREYS[0]) / GREY_STEP, 0.0, GREYS.size - 1.0)
-    i = np.minimum(x.astype(np.int64), GREYS.size - 2)
+    last = GREYS.size - 1
+    x = np.clip((grey - GREYS[0]) / GREY_STEP, 0.0, last)
+    i = np.minimum(x.astype(np.int64), last - 1)
     part = x - i
-    return running_sum[rows, i] * (1 - part) + running_sum[rows, i + 1] * part
+    lower = running_sum[rows, i]
+    upper = running_sum[rows, i + 1]
+    return lower * (1 - part) + upper * part
 
 
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
@@ -266,10 +294,12 @@ def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
         return surest_fit, True
     a, b = fits
     # Standard errors by which they may differ.
-    if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):
+    if abs(a.percent - b.percent) <= 3.0 * math.hypot(a.se, b.se):
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
-        coefficient = float(np.average([a.coefficient, b.coefficient], weights=w))
-        se = float(1.0 / np.sqrt(w.sum()))
+        mean = np.average([a.coefficient, b.coefficient], weights=w)
+        coefficient = float(mean)
+        se = 1.0 / math.sqrt(w.sum())
         return _Fit(coefficient, _loss_percent(coefficient), se), True
     # What both share is corrected, and no more: the rest is the sheet's own.
-    return min(fits, key=lambda fit: abs(fit.percent)), a.percent * b.percent > 0
+    lower_fit = min(fits, key=lambda fit: abs(fit.percent))
+    return lower_fit, a.percent * b.percent > 0

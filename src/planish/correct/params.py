@@ -5,9 +5,7 @@ The record is for JSON and the store.
 
 from typing import Any
 
-from pydantic import Field
-
-from planish.core.facts import ResultModel, optional
+from planish.core.facts import DescribedModel, optional
 from planish.core.frame import Axis
 from planish.core.options import Params, option
 from planish.core.typing import Entries, Pair, Texts
@@ -53,78 +51,83 @@ class CorrectParams(Params):
         return tuple(name for name in ("rings", "cupping") if getattr(self, name))
 
 
-class RingArtefact(ResultModel):
+class RingArtefact(DescribedModel):
     """One ring that was found."""
 
-    radius_um: float = Field(description="Of the crest.")
-    width_um: float = Field(description="Full width at half height.")
-    height: float = Field(description="In grey; negative where the ring is darker.")
-    share: float = Field(description="The height as a share of the sheet's contrast to air.")
-    share_se: float = Field(description="Standard error of the share.")
-    share_after: float = Field(
-        default=float("nan"), description="What is left at this radius after the correction."
-    )
-    least: float = Field(
-        default=1.0,
-        description=(
-            "Least factor on the height along the axis; 1 where it does not vary beyond its noise."
-        ),
-    )
-    most: float = Field(default=1.0, description="Largest such factor.")
+    radius_um: float
+    """Of the crest."""
+    width_um: float
+    """Full width at half height."""
+    height: float
+    """In grey; negative where the ring is darker."""
+    share: float
+    """The height as a share of the sheet's contrast to air."""
+    share_se: float
+    """Standard error of the share."""
+    share_after: float = float("nan")
+    """What is left at this radius after the correction."""
+    least: float = 1.0
+    """Least factor on the height along the axis; 1 where it does not vary beyond its noise."""
+    most: float = 1.0
+    """Largest such factor."""
 
 
-class Trend(ResultModel):
+class Trend(DescribedModel):
     """Loss of grey in the middle against the edge of the sheet, from one material."""
 
-    material: str = Field(description="``base`` or ``coating``.")
-    before: float = Field(
-        description=(
-            "In per cent of the material's grey above air; positive where the middle is fainter."
-        )
-    )
-    se: float = Field(description="Standard error of one of them.")
+    material: str
+    """``base`` or ``coating``."""
+    before: float
+    """In per cent of the material's grey above air; positive where the middle is fainter."""
+    se: float
+    """Standard error of one of them."""
     after: float | None = optional("The same after the correction.")
 
 
 Trends = tuple[Trend, ...]
 
 
-class Cupping(ResultModel):
+class Cupping(DescribedModel):
     """The cupping that was corrected."""
 
-    percent: float = Field(description="Loss in the middle against the sheet's largest radius.")
-    se: float = Field(description="Standard error of that.")
-    powers: tuple[float, ...] = Field(
-        description="One factor, on (radius / reach)², relative to the middle."
-    )
-    reach_um: float = Field(
-        description="Largest radius at which there is sheet; beyond it the factor stays."
-    )
+    percent: float
+    """Loss in the middle against the sheet's largest radius."""
+    se: float
+    """Standard error of that."""
+    powers: tuple[float, ...]
+    """One factor, on (radius / reach)², relative to the middle."""
+    reach_um: float
+    """Largest radius at which there is sheet; beyond it the factor stays."""
 
 
-class CorrectionRecord(ResultModel):
+class CorrectionRecord(DescribedModel):
     """What was found, and what was changed."""
 
-    axis: Axis = Field(description="Axis of rotation.")
-    centre_um: Pair = Field(description="Where it stands along the two other axes, in array order.")
-    asked: Texts = Field(description="``rings``, ``cupping``.")
+    axis: Axis
+    """Axis of rotation."""
+    centre_um: Pair
+    """Where it stands along the two other axes, in array order."""
+    asked: Texts
+    """``rings``, ``cupping``."""
     air: float | None = optional("Grey of the air; None where no sheet stands out.")
     sheet: float | None = optional("Grey of the sheet; None where none stands out.")
-    rings: tuple[RingArtefact, ...] = Field(default=(), description="Those that were corrected.")
+    rings: tuple[RingArtefact, ...] = ()
+    """Those that were corrected."""
     ring_limit: float | None = optional(
         "Median over the radii of the height that would have been found, as a share of the"
         " contrast."
     )
     cupping: Cupping | None = optional("None where nothing was corrected.")
-    trends: Trends = Field(
-        default=(), description="Of each material against the radius, before and after."
-    )
-    clipped: float = Field(
-        default=0.0, description="Share of voxels that left the range of their type."
-    )
-    slices: int = Field(default=0, description="Slices looked at.")
-    length: int = Field(default=0, description="Slices there are.")
-    sentences: Texts = Field(default=(), description="What was done or not done, and why.")
+    trends: Trends = ()
+    """Of each material against the radius, before and after."""
+    clipped: float = 0.0
+    """Share of voxels that left the range of their type."""
+    slices: int = 0
+    """Slices looked at."""
+    length: int = 0
+    """Slices there are."""
+    sentences: Texts = ()
+    """What was done or not done, and why."""
 
     @property
     def changes(self) -> bool:

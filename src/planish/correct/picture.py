@@ -47,7 +47,7 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     turning = corrected.turning
     contrast = record.sheet - record.air
     slice_before, slice_after, difference = _middle_slices(corrected.volume, before, turning)
-    rows_um, cols_um = (n * p for n, p in zip(turning.shape[1:], turning.pitch_um, strict=True))
+    rows_um, cols_um = np.multiply(turning.shape[1:], turning.pitch_um).tolist()
     if rows_um > 0.7 * cols_um:  # slices side by side
         width = _WIDTH / 3 - 0.25
         height = min(width * rows_um / cols_um, 5.0)
@@ -90,9 +90,10 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
 def _add_axes(
     figure: Figure, figure_height: float, x: float, y: float, width: float, height: float
 ) -> Axes:
-    return figure.add_axes(
-        (x / _WIDTH, 1 - (y + height) / figure_height, width / _WIDTH, height / figure_height)
-    )
+    """Add axes at a place from the left and the top of the figure; all lengths in inches."""
+    left = x / _WIDTH
+    bottom = 1 - (y + height) / figure_height
+    return figure.add_axes((left, bottom, width / _WIDTH, height / figure_height))
 
 
 def _middle_slices(
@@ -128,7 +129,8 @@ def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float
         grey_sums = stage.total.sum(axis=(0, 1))
         n_voxels, level_sums = stage.level.T
         material_level = level_sums / np.maximum(n_voxels, 1)
-        residual = np.where(voxel_counts >= 30, grey_sums / np.maximum(voxel_counts, 1), np.nan)
+        residual = grey_sums / np.maximum(voxel_counts, 1)
+        residual[voxel_counts < 30] = np.nan
         for m, contrast_share in enumerate((material_level[:, None] + residual) / UNIT):
             grey = air + contrast * contrast_share
             axes.plot(radius, grey, color=colour, lw=0.9, label=stage_name if m == 0 else None)
@@ -152,6 +154,7 @@ def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float
 def _draw_slice(
     axes: Axes, picture: Floats, title: str, width_um: float, colour_map: str, grey_limits: Pair
 ) -> None:
+    """Draw a slice without ticks, with a bar of its scale."""
     axes.imshow(
         picture,
         colour_map,

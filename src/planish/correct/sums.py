@@ -50,15 +50,19 @@ def smoothed(plane: Array) -> Singles:
 
 def missing(plane: Array, padding: float) -> Bools:
     """Voxels of a slice that hold nothing, and those too near to them to be smoothed."""
-    empty = ~np.isfinite(plane)
+    is_empty = ~np.isfinite(plane)
     if np.isfinite(padding):
-        empty |= _without_specks(plane == padding)
-    return ndimage.maximum_filter(empty, 9) if empty.any() else empty
+        is_empty |= _without_specks(plane == padding)
+    return ndimage.maximum_filter(is_empty, 9) if is_empty.any() else is_empty
 
 
 def find_levels(slices: list[Array], radius: Floats) -> Levels | None:
-    """Find the greys in some slices; None where no sheet stands out from the air."""
-    lowest = min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=np.nan)
+    """Find the greys in some slices (rows, cols); None where no sheet stands out from the air.
+
+    ``radius`` (rows, cols) is the distance from the axis of rotation, in any unit.
+    """
+    finite_slices = [s for s in slices if np.isfinite(s).any()]
+    lowest = min((float(np.nanmin(s)) for s in finite_slices), default=np.nan)
     padding = _padding(slices, lowest, radius)
     greys: list[Singles] = []
     are_lowest: list[Bools] = []
@@ -73,8 +77,9 @@ def find_levels(slices: list[Array], radius: Floats) -> Levels | None:
     is_dark = all_greys < levels.split
     n_dark = np.count_nonzero(is_dark)
     n_cut = np.count_nonzero(is_dark & np.concatenate(are_lowest))
+    cut_share = n_cut / max(n_dark, 1)
     # Where all of the air has the same value it has no noise: nothing was cut off.
-    return levels._replace(padding=padding, air_cut=0.05 < n_cut / max(n_dark, 1) < 0.8)
+    return levels._replace(padding=padding, air_cut=0.05 < cut_share < 0.8)
 
 
 def _padding(slices: list[Array], lowest: float, radius: Floats) -> float:
@@ -86,8 +91,11 @@ def _padding(slices: list[Array], lowest: float, radius: Floats) -> float:
     share = float(frequency.mean())
     if share < 0.01:  # of all voxels: so much padding at least
         return float("nan")
+    # So many of the voxels that are farthest out.
     is_outside = radius > np.quantile(radius, 1.0 - share)
-    is_padding = frequency[is_outside].mean() > 0.9 and frequency[~is_outside].mean() < 0.1 * share
+    share_outside = frequency[is_outside].mean()
+    share_inside = frequency[~is_outside].mean()
+    is_padding = share_outside > 0.9 and share_inside < 0.1 * share
     return lowest if is_padding else float("nan")
 
 
@@ -112,13 +120,15 @@ def _estimate_levels(greys: Singles) -> Levels | None:
         return None
     bin_counts, bin_edges = np.histogram(greys, 160, (lowest, highest))
     bin_sums = bin_counts * np.arange(bin_counts.size)
-    split, middle = (float(bin_edges[k]) for k in otsu_borders(bin_counts, bin_sums, 3))
+    borders = otsu_borders(bin_counts, bin_sums, 3)
+    split, middle = bin_edges[list(borders)].tolist()
     dark_greys = greys[greys <= split]
     sheet_greys = greys[greys > split]
     # The mean of what lies near the median.
     dark_deviations = np.abs(dark_greys - float(np.median(dark_greys)))
     air_reach = max(3 * MAD_TO_SD * float(np.median(dark_deviations)), 1e-6)
-    air = float(np.mean(dark_greys[dark_deviations <= air_reach], dtype=np.float64))
+    air_greys = dark_greys[dark_deviations <= air_reach]
+    air = float(np.mean(air_greys, dtype=np.float64))
     base_greys = sheet_greys[sheet_greys <= middle]
     bright_greys = sheet_greys[sheet_greys > middle]
     if not bright_greys.size or not base_greys.size:
@@ -186,18 +196,22 @@ class Turning(NamedTuple):
 
     def coarse_bins(self, radius_um: Array) -> NDArray[np.int64]:
         """Numbers of the histogram's radii."""
-        return np.minimum((radius_um / self.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+        bins = radius_um / self.farthest_um * COARSE
+        return np.minimum(bins.astype(np.int64), COARSE - 1)
 
     @property
     def farthest_um(self) -> float:
         """Largest radius in the field."""
-        axes = zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
-        return math.hypot(*(max(abs(c), abs((n - 1) * p - c)) for c, n, p in axes))
+        extent_um = np.subtract(self.shape[1:], 1) * self.pitch_um
+        reaches_um = np.maximum(np.abs(self.centre_um), np.abs(extent_um - self.centre_um))
+        return math.hypot(*reaches_um)
 
     def offsets_um(self, rows: Ints, cols: Ints) -> tuple[Floats, Floats]:
         """Distances (rows, 1) and (1, cols) from the axis along the two others."""
-        r = rows.astype(np.float64) * self.pitch_um[0] - self.centre_um[0]
-        c = cols.astype(np.float64) * self.pitch_um[1] - self.centre_um[1]
+        row_um, col_um = self.pitch_um
+        row_centre_um, col_centre_um = self.centre_um
+        r = rows.astype(np.float64) * row_um - row_centre_um
+        c = cols.astype(np.float64) * col_um - col_centre_um
         return r[:, None], c[None, :]
 
 
@@ -208,10 +222,11 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Tu
             "The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for"
             " one."
         )
-    size = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
+    voxel_um = map(float, volume.attrs["voxel_um"])
+    size = dict(zip("zyx", voxel_um, strict=True))
     frame = Frame(through=axis)
     a, b = frame.rows, frame.cols
-    shape = length, rows, cols = volume.sizes[axis], volume.sizes[a], volume.sizes[b]
+    length, rows, cols = (volume.sizes[name] for name in (axis, a, b))
     pitch = (size[a], size[b])
     if length < _LEAST_LENGTH:
         raise VolumeError(
@@ -225,9 +240,10 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Tu
             f" rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another"
             " `rotation_axis`."
         )
-    extent_um = height_um, width_um = (rows - 1) * size[a], (cols - 1) * size[b]
-    centre = (0.5 * height_um, 0.5 * width_um) if centre_um is None else centre_um
-    for name, position_um, end_um in zip((a, b), centre, extent_um, strict=True):
+    height_um = (rows - 1) * size[a]
+    width_um = (cols - 1) * size[b]
+    centre = centre_um or (0.5 * height_um, 0.5 * width_um)
+    for name, position_um, end_um in zip((a, b), centre, (height_um, width_um), strict=True):
         # An axis further outside is taken for a mistake.
         if not -0.5 * end_um <= position_um <= 1.5 * end_um:
             raise InputError(
@@ -235,7 +251,7 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Tu
                 f" from 0 to {end_um:g} um. Give `rotation_centre_um` as {a},{b} in um from the"
                 " first voxel."
             )
-    return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)
+    return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=(length, rows, cols))
 
 
 Counts = NDArray[np.int64]
@@ -269,20 +285,33 @@ class Sums:
     slices: int  # that were looked at
 
 
+class _Voxels(NamedTuple):
+    """What the voxels of a slice (rows, cols) are."""
+
+    grey: Counts  # above air, in :data:`UNIT`
+    label: Labels  # of those well inside a material
+    depth: Counts  # below the face, in voxels
+
+
 def slices_of(
     volume: xr.DataArray, turning: Turning, *, max_slices: int | None = None, memory_bytes: int
 ) -> Iterator[NumberedSlice]:
-    """Give (number, slice across the axis) in order; every so many where the volume is large."""
+    """Give (number, slice across the axis) in order; every so many where the volume is large.
+
+    About ``max_slices`` of them, or all, but no more voxels than are looked at.
+    """
     length, rows, cols = turning.shape
-    stride = -(-length * rows * cols // _MOST) if max_slices is None else length // max_slices
+    stride = math.ceil(length * rows * cols / _MOST) if max_slices is None else length // max_slices
     stride = max(1, stride)
     numbers = range(stride // 2, length, stride)
     # A slab is in memory, and the one after it while that is read.
     slice_bytes = rows * cols * volume.dtype.itemsize
-    slab_length = max(1, min(int(memory_bytes / (3 * slice_bytes)), len(numbers)))
+    most_slices = int(memory_bytes / (3 * slice_bytes))
+    slab_length = max(1, min(most_slices, len(numbers)))
     for start in range(0, len(numbers), slab_length):
         slab_numbers = numbers[start : start + slab_length]
         span = slice(slab_numbers[0], slab_numbers[-1] + 1, stride)
+        # In the order in which the slab has its axes.
         box = {turning.axis: span, **dict.fromkeys(turning.plane, slice(None))}
         slab = read_box(volume, box)
         for number, plane in zip(slab_numbers, slab, strict=True):
@@ -290,10 +319,10 @@ def slices_of(
 
 
 def take_sums(slices: Iterator[NumberedSlice], turning: Turning, levels: Levels) -> Sums:
-    """Add up all slices."""
-    length = turning.shape[0]
+    """Add up all slices, whose numbers are those along the axis of rotation."""
+    length, rows, cols = turning.shape
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
-    offsets_um = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
+    offsets_um = turning.offsets_um(np.arange(rows), np.arange(cols))
     radius = np.hypot(*offsets_um)
     # Parts of the turn begin at the axes of the array.
     turns = np.arctan2(*offsets_um) / (2 * np.pi) % 1.0
@@ -312,81 +341,85 @@ def take_sums(slices: Iterator[NumberedSlice], turning: Turning, levels: Levels)
         slices=0,
     )
     n_slices = 0
+    classify = partial(_classify, levels=levels)
     with thread_pool() as pool:
         while batch := list(islice(slices, 16)):  # slices that are worked on together
-            for number, grey, label, depth in pool.map(partial(_classify, levels=levels), batch):
+            for number, voxels in pool.map(classify, batch):
                 k = min(int(number * blocks / length), blocks - 1)
-                _add_to_rings(sums, k, grey, label, depth, radius_bins, sectors)
+                _add_to_rings(sums, k, voxels, radius_bins, sectors)
                 # The voxels inside the sheet by quarter of the turn, radius, depth and grey.
-                grey_bins = ((grey / UNIT - GREYS[0]) / GREY_STEP).astype(np.int64)
-                depths = np.searchsorted(DEPTHS, depth, side="right") - 1
+                grey_place = (voxels.grey / UNIT - GREYS[0]) / GREY_STEP
+                grey_bins = np.clip(grey_place.astype(np.int64), 0, GREYS.size - 2)
+                depths = np.searchsorted(DEPTHS, voxels.depth, side="right") - 1
+                bins = (quarters, coarse_bins, depths, grey_bins)
                 histogram = sums.histogram[k]
-                bins = quarters, coarse_bins, depths, np.clip(grey_bins, 0, GREYS.size - 2)
-                cells = np.ravel_multi_index(bins, histogram.shape)[label > 1 + AIR]
-                histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
+                cells = np.ravel_multi_index(bins, histogram.shape)
+                _count(histogram, cells[voxels.label > 1 + AIR])
             n_slices += len(batch)
     return replace(sums, slices=n_slices)
 
 
+def _count(counts: Counts, cells: Ints) -> None:
+    """Add 1 to an array at every number of a cell."""
+    counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
+
+
 def _add_to_rings(
-    sums: Sums,
-    block: int,
-    grey: Counts,
-    label: Labels,
-    depth: Counts,
-    radius_bins: Counts,
-    sectors: Counts,
+    sums: Sums, block: int, voxels: _Voxels, radius_bins: Counts, sectors: Counts
 ) -> None:
-    """Add a slice to the parts of circles, its greys less the mean of their material and depth."""
-    # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is
-    # everywhere at its depth, and so leaves nothing; a ring does. Sums of whole numbers are exact
-    # in double precision.
-    is_classified = label > 0
-    greys = grey[is_classified]
-    material = label[is_classified].astype(np.int64) - 1
+    """Add a slice to the parts of circles, its greys less the mean of their material and depth.
+
+    ``radius_bins`` and ``sectors`` (rows, cols) are the numbers of a voxel's part of a circle. Near
+    the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at
+    its depth, and so leaves nothing; a ring does.
+    """
+    # Sums of whole numbers are exact in double precision.
+    is_classified = voxels.label > 0
+    greys = voxels.grey[is_classified]
+    material = voxels.label[is_classified].astype(np.int64) - 1
     n_depths = _DEEPEST + 1
-    layer = material * n_depths + depth[is_classified]
+    layer = material * n_depths + voxels.depth[is_classified]
     n_layers = len(MATERIALS) * n_depths
     layer_counts = np.bincount(layer, minlength=n_layers)
-    layer_sums = np.bincount(layer, greys, n_layers)
+    layer_sums = np.bincount(layer, greys, n_layers).astype(np.int64)
     sums.level[:, 0] += layer_counts.reshape(-1, n_depths).sum(axis=1)
-    sums.level[:, 1] += layer_sums.reshape(-1, n_depths).sum(axis=1).astype(np.int64)
+    sums.level[:, 1] += layer_sums.reshape(-1, n_depths).sum(axis=1)
     has_enough = layer_counts[layer] >= 32  # voxels of a material at one depth, for its mean grey
-    layer_mean = np.rint(layer_sums / np.maximum(layer_counts, 1)).astype(np.int64)
+    layer_mean = np.rint(layer_sums / np.maximum(layer_counts, 1))
+    residuals = greys - layer_mean[layer]
     counts = sums.count[block]
     places = (sectors[is_classified], material, radius_bins[is_classified])
     cells = np.ravel_multi_index(places, counts.shape)[has_enough]
-    counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
-    cell_sums = np.bincount(cells, (greys - layer_mean[layer])[has_enough], counts.size)
+    _count(counts, cells)
+    cell_sums = np.bincount(cells, residuals[has_enough], counts.size)
     sums.total[block] += cell_sums.astype(np.int64).reshape(counts.shape)
 
 
-def _classify(numbered_slice: NumberedSlice, levels: Levels) -> tuple[int, Counts, Labels, Counts]:
+def _classify(numbered_slice: NumberedSlice, levels: Levels) -> tuple[int, _Voxels]:
     """Number of a slice, and grey, material and depth of its voxels.
 
-    The grey is above air, in whole numbers; the material is that of each voxel well inside one, and
-    the depth is below the face.
+    The material comes from the smoothed slice, with wide limits: a ring of some per cent does not
+    choose its voxels. Air whose noise the export has cut off is left out.
     """
-    # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not
-    # choose its voxels.
     number, plane = numbered_slice
     smoothed_plane = smoothed(plane)
     is_missing = missing(plane, levels.padding)
     is_solid = (smoothed_plane > levels.split) & ~is_missing
     # By so much it may be off.
-    is_air = (np.abs(smoothed_plane - levels.air) < 0.15 * levels.contrast) & ~is_missing
+    is_near_air = np.abs(smoothed_plane - levels.air) < 0.15 * levels.contrast
+    is_air = is_near_air & ~is_missing
     depth = np.zeros(plane.shape, np.int64)
     label = np.zeros(plane.shape, np.uint8)
+    solid_label = np.where(smoothed_plane > levels.middle, 1 + BRIGHT, 1 + BASE)
     for mask in (is_solid,) if levels.air_cut else (is_solid, is_air):
-        distance = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
+        distance = ndimage.distance_transform_cdt(mask, "chessboard")
         if mask.all():
             distance[:] = _DEEPEST
         is_inside = distance > 3  # from a face: so far reaches its blur
         depth[is_inside] = np.minimum(distance[is_inside], _DEEPEST)
-        solid_label = np.where(smoothed_plane[is_inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
-        label[is_inside] = 1 + AIR if mask is is_air else solid_label
+        label[is_inside] = 1 + AIR if mask is is_air else solid_label[is_inside]
     filled = np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0)
     contrast_share = (filled - levels.air) / levels.contrast
     units = np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT
     grey = np.rint(units).astype(np.int64)
-    return number, grey, label, depth
+    return number, _Voxels(grey, label, depth)

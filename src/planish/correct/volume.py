@@ -52,7 +52,9 @@ class Change(NamedTuple):
     ) -> tuple[Array, int]:
         """Correct a block (along, rows, cols) with its places in the array.
 
-        Return it and how many were clipped.
+        Return it and how many were clipped. ``along`` are the numbers of its slices along the axis
+        of rotation, ``rows`` and ``cols`` those of its voxels along the two other axes. Padding and
+        voxels that are not finite stay as they are.
         """
         radius = np.hypot(*self.turning.offsets_um(rows, cols))
         cupping_factor = np.ones(radius.shape)
@@ -87,9 +89,10 @@ class Change(NamedTuple):
 def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> Array:
     """Read a part of a volume and correct it; a voxel does not depend on the part."""
     axis_order = change.turning.order
-    indices = [np.arange(w.start, w.stop, w.step) for w in where]
+    spans = [where[axis] for axis in axis_order]
+    places = (np.arange(span.start, span.stop, span.step) for span in spans)
     values = np.transpose(volume[where].values, axis_order)
-    out, _ = change.apply(values, *(indices[axis] for axis in axis_order))
+    out, _ = change.apply(values, *places)
     return np.transpose(out, np.argsort(axis_order))
 
 
@@ -165,7 +168,8 @@ def correct_volume(
     slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
     # A first look at some slices.
     first_slices = [plane for _, plane in slices(max_slices=24)]
-    levels = find_levels(first_slices, np.hypot(*turning.offsets_um(rows, cols)))
+    radius_um = np.hypot(*turning.offsets_um(rows, cols))
+    levels = find_levels(first_slices, radius_um)
     if levels is None:
         sentences = ("No sheet stands out from the air: nothing was corrected.",)
         record = record.model_copy(update={"sentences": sentences})
@@ -182,7 +186,7 @@ def correct_volume(
     if not record.changes:
         record = record.model_copy(update={"trends": _trends_with(record, record.trends)})
         return _corrected(volume, record, turning, before=before)
-    clipped = [0, 0]
+    clipped = [0, 0]  # voxels that left the range of their type, and all
 
     def changed() -> Iterator[NumberedSlice]:
         for number, values in slices():
@@ -205,9 +209,11 @@ def correct_volume(
 def _trends_with(record: CorrectionRecord, trends_after: Trends) -> Trends:
     """The trends of a record with the losses that are there after the correction."""
     losses = {trend.material: trend.before for trend in trends_after}
-    return tuple(
-        trend.model_copy(update={"after": losses.get(trend.material)}) for trend in record.trends
-    )
+    trends: Trends = ()
+    for trend in record.trends:
+        after = losses.get(trend.material)
+        trends += (trend.model_copy(update={"after": after}),)
+    return trends
 
 
 def _corrected(
