@@ -27,6 +27,7 @@ def _shares(number, wb, wc):
 
 @njit(cache=True, nogil=True)
 def _place(number, wb, wc, cols):
+    """Row and column, with fractions, of a place in a triangle of the mesh."""
     node = number >> 1
     i = node // cols
     j = node - i * cols
@@ -142,6 +143,7 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
 
 @njit(cache=True, nogil=True)
 def _corners(number, corners, cols):
+    """Numbers of the three nodes of a triangle: from the list, or of its quad in a mesh of cols."""
     if corners.shape[0] > 0:
         nodes = corners[number]
         return np.int64(nodes[0]), np.int64(nodes[1]), np.int64(nodes[2])
@@ -195,7 +197,8 @@ def find_bends(u, v, triangle, weight, bend, begin, end):
     begin, end : rows of ``bend`` to do
     """
     cols = u.shape[1]
-    u_nodes, v_nodes = u.reshape(-1), v.reshape(-1)
+    u_nodes = u.reshape(-1)
+    v_nodes = v.reshape(-1)
     no_corners = np.empty((0, 3), np.int32)
     for y in range(begin, end):
         for x in range(bend.shape[2]):

@@ -1,5 +1,6 @@
 """Bring the maps of a flattened sheet, and images, onto a regular grid, each in one step."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -63,24 +64,25 @@ def resample_maps(
     if onto is not None:
         return SheetOnto(surfaces, flat, transform=transform).on(onto)
     uv = _flat_coordinates(flat)
-    step = pitch(surfaces)
+    step_um = pitch(surfaces)
     names = _variable_names(surfaces)
-    pixel = map_um or float(np.sqrt(step[0] * step[1]))
-    layers = names[2]
-    grid = covering_grid(uv, pixel)
-    places = find_places(uv, grid, least_um=min(step))
+    pixel_um = map_um or math.sqrt(math.prod(step_um))
+    grid = covering_grid(uv, pixel_um)
+    places = find_places(uv, grid, least_um=min(step_um))
     column_fields = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
-    maps = resample_dataset(
-        column_fields, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um}
-    )
-    maps = _as_stored(maps, surfaces, names, pixel, Similarity())
+    coords = {"v": grid.y_um, "u": grid.x_um}
+    maps = resample_dataset(column_fields, places, dims=("v", "u"), coords=coords)
+    maps = _as_stored(maps, surfaces, names, pixel_um, Similarity())
     is_measured = np.isfinite(maps["thickness"].values)
     maps["valid"] = (("v", "u"), is_measured, {"long_name": "Measured"})
     maps.attrs["overlaps"] = places.overlaps
-    layer_heights = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
+    layer_heights: list[float] = []
+    for name in names[2]:
+        layer = surfaces[name].attrs["layer"]
+        layer_heights.append(float(np.mean(layer)))
     if layer_heights:
-        # Where the layers lie that holes are found in: the face is half a thickness from the centre
-        # surface.
+        # Where the layers lie that holes are found in, in thicknesses: the face is half a thickness
+        # from the centre surface.
         separation = max(layer_heights) - min(layer_heights)
         maps.attrs["layers_apart_um"] = separation * float(surfaces.attrs["thickness_um"])
         maps.attrs["layer_to_face"] = (0.5 - max(layer_heights)) / separation
@@ -95,19 +97,23 @@ in."""
 class SheetOnto:
     """The maps of a sheet on a reference's pixels, part by part.
 
-    ``transform``, with a ``similarity``, leads there.
+    ``transform``, with a ``similarity``, leads there from the flat sheet; without one the flat
+    coordinates are those of the reference.
     """
 
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
+        """Carry the nodes of the sheet to the reference, once for all parts."""
         uv = _flat_coordinates(flat)
         self._surfaces = surfaces
         self._similarity = Similarity()
-        self._names = *_variable_names(surfaces)[:2], list[str]()
+        properties, errors, _ = _variable_names(surfaces)
+        self._names: Names = (properties, errors, [])  # no layers
         self._columns = _on_columns(surfaces, flat, self._names, ("u", "v"))
         if transform is not None:
             uv = transform(uv)
             self._similarity = transform.similarity
-        self._mesh = Mesh.of(uv, least_um=min(pitch(surfaces)) * self._similarity.scale)
+        least_um = min(pitch(surfaces)) * self._similarity.scale
+        self._mesh = Mesh.of(uv, least_um=least_um)
 
     def on(self, part: Grid) -> xr.Dataset:
         """The maps on some pixels of the reference."""
@@ -115,12 +121,13 @@ class SheetOnto:
         column_fields = self._columns.isel(y=rows, x=cols)
         coords = {"y": part.y_um, "x": part.x_um}
         maps = resample_dataset(column_fields, places, dims=("y", "x"), coords=coords)
-        pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
-        return _as_stored(maps, self._surfaces, self._names, pixel, self._similarity)
+        # On the sheet.
+        pixel_um = math.sqrt(math.prod(part.pixel_um)) / self._similarity.scale
+        return _as_stored(maps, self._surfaces, self._names, pixel_um, self._similarity)
 
 
 def _flat_coordinates(flat: xr.Dataset) -> Floats:
-    return np.stack([flat[name].values for name in ("u", "v")], axis=-1)
+    return np.stack([flat["u"].values, flat["v"].values], axis=-1)
 
 
 def _as_stored(
@@ -134,8 +141,8 @@ def _as_stored(
         maps[name] = maps[name].copy(data=se)
     # Geometry stays double.
     measured = [n for n in properties + errors if "support_um" not in surfaces[n].attrs]
-    single = {n: maps[n].astype(np.float32) for n in measured + layers if n in maps}
-    return maps.assign(single)
+    singles = [n for n in measured + layers if n in maps]
+    return maps.assign(maps[singles].astype(np.float32, keep_attrs=True))
 
 
 def resample_image(
@@ -165,17 +172,17 @@ def resample_image(
     Dataset, dims (y, x)
         ``image``: means over the area where pixels become larger, interpolated elsewhere.
     """
-    rows, cols = image.attrs["pixel_um"]
-    pixel_um = float(rows), float(cols)
+    row_um, col_um = image.attrs["pixel_um"]
     values = warp_image(
         image.values,
         onto,
         transform.inverse,
-        pixel_um=pixel_um,
+        pixel_um=(float(row_um), float(col_um)),
         memory_bytes=memory_bytes,
         must_meet=must_meet,
     )
-    return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
+    warped = xr.Variable(("y", "x"), values, image_attrs(image))
+    return xr.Dataset({"image": warped}, coords=onto.coords)
 
 
 def image_attrs(image: xr.DataArray) -> Entries:
@@ -183,8 +190,11 @@ def image_attrs(image: xr.DataArray) -> Entries:
 
     They come with how far each value reached for its neighbours, where it did.
     """
-    reach = {"reach_um": image.attrs["reach_um"]} if "reach_um" in image.attrs else {}
-    return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1", **reach}
+    name = str(image.attrs.get("long_name", "Image"))
+    attrs: Entries = {"long_name": name, "units": "1"}
+    if "reach_um" in image.attrs:
+        attrs["reach_um"] = image.attrs["reach_um"]
+    return attrs
 
 
 class Lattice:
@@ -194,21 +204,27 @@ class Lattice:
     """
 
     def __init__(self, grid: Grid) -> None:
-        self._y_um, self._x_um = map(_thinned, (grid.y_um, grid.x_um))
+        self._y_um = _thinned(grid.y_um)
+        self._x_um = _thinned(grid.x_um)
         self.places: Floats = grid_points(self._x_um, self._y_um)
 
     def between(self, values: Floats, part: Grid) -> Floats:
         """Interpolate values (rows, cols) of the places bilinearly on some pixels of the grid."""
         by_rows = _between(values, self._y_um, part.y_um)
-        return np.ascontiguousarray(_between(by_rows.T, self._x_um, part.x_um).T)
+        by_cols = _between(by_rows.T, self._x_um, part.x_um)
+        return np.ascontiguousarray(by_cols.T)
 
 
 def _thinned(axis_um: Floats) -> Floats:
-    return np.linspace(axis_um[0], axis_um[-1], min(axis_um.size, 200))
+    count = min(axis_um.size, 200)
+    return np.linspace(axis_um[0], axis_um[-1], count)
 
 
 def _between(values: Floats, nodes_um: Floats, pixels_um: Floats) -> Floats:
-    """Interpolate the rows (nodes, ...) of values linearly at some pixels between their places."""
+    """Interpolate the rows (nodes, cols) of values linearly at some pixels between their places.
+
+    Beyond the outermost places the line goes on; a single one has its value everywhere.
+    """
     last = nodes_um.size - 1
     n_before = np.searchsorted(nodes_um, pixels_um, side="right")
     low = np.clip(n_before - 1, 0, max(last - 1, 0))
@@ -219,7 +235,10 @@ def _between(values: Floats, nodes_um: Floats, pixels_um: Floats) -> Floats:
 
 
 def _variable_names(surfaces: xr.Dataset) -> Names:
-    """Names of the maps, of their standard errors, and of the layers' own."""
+    """Names of the maps, of their standard errors, and of the layers' own.
+
+    Errors of which none is known are left out.
+    """
     properties: list[str] = []
     supported: list[str] = []
     layers: list[str] = []
@@ -233,22 +252,28 @@ def _variable_names(surfaces: xr.Dataset) -> Names:
     maps = properties + supported
     if not maps:
         raise SurfaceError("The surfaces hold no properties. Measure them first (planish measure).")
-    errors = [f"{name}_se" for name in maps if f"{name}_se" in surfaces]
-    errors = [name for name in errors if np.isfinite(surfaces[name].values).any()]
+    errors: list[str] = []
+    for name in maps:
+        error = surfaces.get(f"{name}_se")
+        if error is not None and np.isfinite(error.values).any():
+            errors.append(f"{name}_se")
     return maps, errors, layers
 
 
 def se_of_mean(se: Floats, attrs: Entries, pixel_um: float) -> Floats:
     """Give the standard error of the mean over a pixel of columns.
 
-    The errors of the columns have a Gaussian autocorrelation.
+    ``se`` is that of a column, and ``attrs`` are of its map: ``common_um`` is what is common to all
+    columns, and stays. Without ``patch_um2`` all of it stays.
 
-    Its integral is ``patch_um2`` = 2 pi s^2; a square of side L keeps the variance's share g(L /
-    s)^2, g(x) = sqrt(2 pi) / x erf(x / sqrt 2) - 2 (1 - exp(-x^2 / 2)) / x^2.
+    The errors of the columns have a Gaussian autocorrelation. Its integral is ``patch_um2`` = 2 pi
+    s^2; a square of side L keeps the variance's share g(L / s)^2, g(x) = sqrt(2 pi) / x
+    erf(x / sqrt 2) - 2 (1 - exp(-x^2 / 2)) / x^2.
     """
     if "patch_um2" not in attrs:
         return se
-    x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
+    sigma_um = np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
+    x = pixel_um / sigma_um
     plateau = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2))
     share = plateau - 2 * -np.expm1(-0.5 * x * x) / x**2
     common_se = float(attrs["common_um"])
@@ -263,7 +288,11 @@ def se_of_mean(se: Floats, attrs: Entries, pixel_um: float) -> Floats:
 def _on_columns(
     surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]
 ) -> xr.Dataset:
-    """Fields of the sheet's columns, with flat coordinates and their places in the volume."""
+    """Fields of the sheet's columns, with flat coordinates and their places in the volume.
+
+    ``coordinates`` are the names of the coordinates in ``flat`` that are taken along. The volume's
+    axes are named as its frame lays the sheet.
+    """
     properties, errors, layers = names
     fields = surfaces[properties + errors + layers]
     fields = fields.assign(flat[list(coordinates)].data_vars)
@@ -271,9 +300,9 @@ def _on_columns(
     is_flattened = np.isfinite(flat["u"].values)
     positions = {
         frame.rows: surfaces["y"].values[:, None],
-        frame.cols: surfaces["x"].values[None, :],
+        frame.cols: surfaces["x"].values,
+        frame.through: surfaces["centre"].values,
     }
-    positions[frame.through] = surfaces["centre"].values
     for axis in ("x", "y", "z"):
         attrs = {"units": "um", "long_name": f"Centre surface, {axis} in the volume"}
         place = np.where(is_flattened, positions[axis], np.nan)
@@ -284,7 +313,8 @@ def _on_columns(
 def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
     """Turn the directions of axes with the sheet.
 
-    An angle whose parts are there is that of their means, to which even directions add more.
+    An angle whose parts are there is that of their means, to which even directions add more. An
+    axis is averaged as a complex number of twice its angle.
     """
     turn = np.exp(2j * similarity.rotation_rad)
     for name, angle in maps.data_vars.items():
@@ -298,5 +328,6 @@ def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
         stem = str(name).removesuffix("_angle")
         if f"{stem}_cos2" in maps and f"{stem}_sin2" in maps:
             turned |= {f"{stem}_cos2": vectors.real, f"{stem}_sin2": vectors.imag}
-        maps = maps.assign({k: maps[k].copy(data=values) for k, values in turned.items()})
+        turned_maps = {k: maps[k].copy(data=values) for k, values in turned.items()}
+        maps = maps.assign(turned_maps)
     return maps

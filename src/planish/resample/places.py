@@ -7,6 +7,7 @@ paper's mode can be had for comparison.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
@@ -65,7 +66,8 @@ class Places(DescribedModel):
     @property
     def shape(self) -> Shape2D:
         """Rows and columns of the grid."""
-        return self.triangle.shape[0] // self.fine, self.triangle.shape[1] // self.fine
+        fine_rows, fine_cols = self.triangle.shape
+        return fine_rows // self.fine, fine_cols // self.fine
 
 
 def find_places(
@@ -115,7 +117,8 @@ def find_places(
     u, v = grid.origin_um
     fine = 1
     if least_um:
-        fine = min(max(1, int(np.ceil(max(row_um, col_um) / least_um - 1e-6))), 32)
+        wanted = math.ceil(max(row_um, col_um) / least_um - 1e-6)
+        fine = min(max(1, wanted), 32)
     step = du, dv = col_um / fine, row_um / fine
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
     first = (u - 0.5 * (col_um - du), v - 0.5 * (row_um - dv))
@@ -130,7 +133,8 @@ def find_places(
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
     else:
-        extents = (_SEGMENT, *_extents(uv[..., 1], first[1], dv))
+        low, high = _extents(uv[..., 1], first[1], dv)
+        extents = (_SEGMENT, low, high)
         is_double = np.zeros(size, np.uint8)
 
         def band(begin: int, end: int) -> int:
@@ -172,27 +176,33 @@ class Mesh:
     @classmethod
     def of(cls, uv: Floats, *, least_um: float) -> Mesh:
         """``least_um`` is the pitch of the mesh, as for :func:`find_places`."""
-        extents = np.array([_extents(uv[..., k], 0.0, 1.0) for k in range(2)])
-        low, high = extents[:, 0], extents[:, 1]
-        low = np.minimum(low[:, :-1], low[:, 1:])
-        high = np.maximum(high[:, :-1], high[:, 1:])
-        return cls(uv=uv, least_um=least_um, _low=low, _high=high)
+        low_u, high_u = _extents(uv[..., 0], 0.0, 1.0)
+        low_v, high_v = _extents(uv[..., 1], 0.0, 1.0)
+        low = np.stack([low_u, low_v])
+        high = np.stack([high_u, high_v])
+        # Of the quads between two rows of nodes.
+        quads_low = np.minimum(low[:, :-1], low[:, 1:])
+        quads_high = np.maximum(high[:, :-1], high[:, 1:])
+        return cls(uv=uv, least_um=least_um, _low=quads_low, _high=quads_high)
 
     def under(self, grid: Grid) -> tuple[Window, Places]:
         """Return the nodes under the pixels of a grid, and where each pixel lies among them."""
-        touched = np.ones(self._low.shape[1:], dtype=bool)
-        axes = (grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0])
-        for low, high, (centres_um, pixel) in zip(self._low, self._high, axes, strict=True):
-            touched &= (low <= centres_um[-1] + pixel) & (high >= centres_um[0] - pixel)
-        nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
+        row_um, col_um = grid.pixel_um
+        # First and last (u, v) of the grid's pixels, and one more.
+        first = np.array([grid.x_um[0] - col_um, grid.y_um[0] - row_um])
+        last = np.array([grid.x_um[-1] + col_um, grid.y_um[-1] + row_um])
+        begins_before = self._low <= last[:, None, None]
+        ends_after = self._high >= first[:, None, None]
+        touched = np.all(begins_before & ends_after, axis=0)
+        nodes = np.s_[:1, :1]  # a single node covers nothing
         if touched.any():
-            rows, segments = (np.flatnonzero(touched.any(axis=axis)).tolist() for axis in (1, 0))
-            after_last = (segments[-1] + 1) * _SEGMENT + 1
+            rows = np.flatnonzero(touched.any(axis=1)).tolist()
+            segments = np.flatnonzero(touched.any(axis=0)).tolist()
             # Values between nodes need one more on either side.
-            nodes = (
-                slice(max(rows[0] - 1, 0), rows[-1] + 3),
-                slice(max(segments[0] * _SEGMENT - 1, 0), after_last + 1),
-            )
+            first_row = max(rows[0] - 1, 0)
+            first_col = max(segments[0] * _SEGMENT - 1, 0)
+            after_last = (segments[-1] + 1) * _SEGMENT + 2
+            nodes = np.s_[first_row : rows[-1] + 3, first_col:after_last]
         return nodes, find_places(self.uv[nodes], grid, least_um=self.least_um)
 
 
@@ -239,7 +249,9 @@ def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
 def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     """Extent of each row's segments of nodes, both ends included, in rows of the target.
 
-    Without the missing ones.
+    Without the missing ones. ``v`` (rows, cols) is a flat coordinate of the nodes; the first row
+    of the target lies at ``first``, ``step`` apart from the next. Gives the lowest and the highest,
+    (rows, segments).
     """
     rows, cols = v.shape
     starts = np.arange(0, cols - 1, _SEGMENT)
@@ -247,10 +259,11 @@ def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
         return np.empty((rows, 0)), np.empty((rows, 0))
     bounds: list[Floats] = []
     for ufunc, neutral in ((np.fmin, np.inf), (np.fmax, -np.inf)):
-        segment_ends = ufunc.reduceat(v, starts, axis=1)
-        segment_ends[:, :-1] = ufunc(segment_ends[:, :-1], v[:, starts[1:]])
-        segment_ends = np.where(np.isnan(segment_ends), neutral, segment_ends)
-        bounds.append((segment_ends - first) * (1.0 / step))  # the same sums as in `locate`
+        bound = ufunc.reduceat(v, starts, axis=1)
+        # The first node of the next segment is the last of this one, too.
+        bound[:, :-1] = ufunc(bound[:, :-1], v[:, starts[1:]])
+        bound[np.isnan(bound)] = neutral
+        bounds.append((bound - first) * (1.0 / step))  # the same sums as in `locate`
     return bounds[0], bounds[1]
 
 
@@ -259,7 +272,9 @@ def _locate_in_delaunay(
 ) -> Indices:
     """Locate pixels in triangles made anew as in the paper.
 
-    These triangles bridge gaps and bays, and notice no fold.
+    These triangles bridge gaps and bays, and notice no fold. Sets ``triangle`` (rows, cols) and
+    ``weight`` (2, rows, cols), and gives the nodes (triangles, 3) of each triangle. ``first_um``
+    and ``step_um`` are (u, v) of the first pixel, and from one to the next.
     """
     from scipy.spatial import Delaunay, QhullError
 
@@ -272,18 +287,19 @@ def _locate_in_delaunay(
             f"The {finite_nodes.size} known nodes cannot be triangulated; at least 3 are needed"
             " that do not lie in one line. Check the flat coordinates."
         ) from error
-    sides = zip(first_um, step_um, triangle.shape[::-1], strict=True)
-    u, v = (first + step * np.arange(n) for first, step, n in sides)
+    rows, cols = triangle.shape
+    u = first_um[0] + step_um[0] * np.arange(cols)
+    v = first_um[1] + step_um[1] * np.arange(rows)
     for begin in range(0, v.size, _LEAST_ROWS):
-        rows = slice(begin, begin + _LEAST_ROWS)
-        points = grid_points(u, v[rows])
-        triangle[rows] = triangulation.find_simplex(points)
+        band = slice(begin, begin + _LEAST_ROWS)
+        points = grid_points(u, v[band])
+        triangle[band] = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
-        barycentric = triangulation.transform[triangle[rows]]
+        barycentric = triangulation.transform[triangle[band]]
         offsets = points - barycentric[..., 2, :]
         corner_weights = np.einsum("yxij,yxj->yxi", barycentric[..., :2, :], offsets)
-        weight[0, rows] = corner_weights[..., 1]
-        weight[1, rows] = 1.0 - corner_weights.sum(axis=-1)
+        weight[0, band] = corner_weights[..., 1]
+        weight[1, band] = 1.0 - corner_weights.sum(axis=-1)
     return np.ascontiguousarray(finite_nodes[triangulation.simplices], dtype=np.int32)
 
 
@@ -313,7 +329,8 @@ def resample(field: Array, places: Places) -> Floats:
         The field does not have the mesh's shape.
     """
     if np.iscomplexobj(field):
-        return axial_angle(resample(np.real(field), places), resample(np.imag(field), places))
+        cosines = resample(np.real(field), places)
+        return axial_angle(cosines, resample(np.imag(field), places))
     return _sampled(field, places, np.empty((0, 0)))
 
 
@@ -359,8 +376,9 @@ def resample_dataset(
         if np.issubdtype(variable.dtype, np.floating):
             resampled = resample(summable(variable, variable.values), places)
             variables[str(name)] = xr.Variable(dims, resampled, attrs)
-    places_um = {axis: (axis, um, {"units": "um"}) for axis, um in coords.items()}
-    return xr.Dataset(variables, coords=places_um)
+    for axis, places_um in coords.items():
+        variables[axis] = xr.Variable(axis, places_um, {"units": "um"})
+    return xr.Dataset(variables)
 
 
 def _sampled(field: Array, places: Places, share: Floats) -> Floats:

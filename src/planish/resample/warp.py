@@ -7,7 +7,6 @@ result depends on what is worked on together.
 
 from collections.abc import Callable
 from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -104,7 +103,8 @@ def warp_image(
 
     def mapping(points: Floats) -> Floats:
         points_um = points * grid.pixel_um[::-1] + grid.origin_um
-        return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
+        source_um = np.asarray(to_source(points_um), dtype=np.float64)
+        return source_um / pixel_um[::-1]
 
     out = np.full(grid.shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(grid.shape, _TILE))
@@ -161,72 +161,88 @@ def _where_text(points_um: Floats) -> str:
 
 
 def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:
-    """Set one tile of ``out``, which is NaN before."""
-    for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
-        sides = y1 - y0, x1 - x0
-        down = (nodes[-1, 0] - nodes[0, 0]) / sides[0]
-        across = (nodes[0, -1] - nodes[0, 0]) / sides[1]
+    """Set one tile of ``out``, which is NaN before.
+
+    ``mapping`` goes from (x, y) in pixels of ``out`` to those of the image.
+    """
+    bounds, patch_nodes = find_patches(mapping, tile, image.shape)
+    for (y0, y1, x0, x1), nodes in zip(bounds, patch_nodes, strict=True):
+        rows = y1 - y0
+        cols = x1 - x0
+        # A pixel's sides in the image.
+        origin = nodes[0, 0]
+        down = (nodes[-1, 0] - origin) / rows
+        across = (nodes[0, -1] - origin) / cols
         area = abs(down[0] * across[1] - down[1] * across[0])
         if area <= _FLAT * max(down @ down, across @ across):
             # a line or a point of the source: one value spread over the patch would look like a
             # map.
             continue
         corners = nodes[::3, ::3]
-        lengths = (np.linalg.norm(np.diff(corners, axis=k), axis=-1).max() for k in (0, 1))
+        height = np.linalg.norm(corners[1] - corners[0], axis=-1).max()
+        width = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1).max()
         target = out[y0:y1, x0:x1]
-        if max(map(np.divide, lengths, sides)) > LARGER:
-            v, u = (np.arange(n + 1) / n for n in sides)
-            target[:] = _averaged(image, places(nodes, v, u))
+        if max(height / rows, width / cols) > LARGER:
+            borders = places(nodes, np.arange(rows + 1) / rows, np.arange(cols + 1) / cols)
+            target[:] = _averaged(image, borders)
         else:
-            down, across = (_weights((np.arange(n) + 0.5) / n) for n in sides)
-            interpolate(image, nodes, down, across, 1.0 - _EDGE, target)
+            row_weights = _weights((np.arange(rows) + 0.5) / rows)
+            col_weights = _weights((np.arange(cols) + 0.5) / cols)
+            interpolate(image, nodes, row_weights, col_weights, 1.0 - _EDGE, target)
 
 
 def _part(image: Array, positions: Floats, margin: int) -> tuple[Array, Floats]:
-    """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it.
+    """Part of an image under places (rows, cols, 2) and ``margin`` pixels around, NaN beside it.
 
     And its first pixel (x, y).
     """
-    low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
-    high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
+    least = np.floor(positions.min(axis=(0, 1)))
+    largest = np.floor(positions.max(axis=(0, 1)))
+    low = least.astype(np.int64) - margin
+    high = largest.astype(np.int64) + 2 + margin
     pixel_count = np.prod((high - low).astype(np.float64))
     if pixel_count > 2**26:
         raise ResourceError(
             f"{pixel_count:.1e} pixels of the source lie under one pixel. Warp to smaller pixels"
             " first, then take means."
         )
-    part = np.full((high - low)[::-1], np.nan, dtype=image.dtype)
+    part = np.full(np.flip(high - low), np.nan, dtype=image.dtype)
     first = np.maximum(low, 0)
     last = np.minimum(high, image.shape[::-1])
     if np.all(last > first):
-        (c0, r0), (c1, r1), (x, y) = first, last, first - low
-        part[y : y + r1 - r0, x : x + c1 - c0] = image[r0:r1, c0:c1]
+        x0, y0 = first - low
+        x1, y1 = last - low
+        part[y0:y1, x0:x1] = image[first[1] : last[1], first[0] : last[0]]
     return part, low.astype(np.float64)
 
 
 def _averaged(image: Array, nodes: Floats) -> Floats:
     """Means over the quadrilaterals between nodes (rows + 1, cols + 1, 2).
 
-    NaN where less than half is known.
+    NaN where less than half is known. Nodes are (x, y) in pixels of the image.
     """
     part, first = _part(image, nodes + 0.5, 1)
     is_valid = np.isfinite(part)
     # From here on a pixel of the source begins at a whole number.
     x, y = np.moveaxis(nodes + 0.5 - first, -1, 0)
-    along = 0.5 * (y[:, :-1] + y[:, 1:]) * np.diff(x, axis=1)
+    # Areas above the sides of the quadrilaterals, whose sum around one is its own (Green).
+    mean_y_along = 0.5 * (y[:, :-1] + y[:, 1:])
+    along = mean_y_along * np.diff(x, axis=1)
     side = 0.5 * (y[:-1] + y[1:]) * np.diff(x, axis=0)
-    area = (along[:-1] - side[:, :-1]) + side[:, 1:] - along[1:]
+    area = along[:-1] + np.diff(side, axis=1) - along[1:]
     falling = nodes[1:, 1:] - nodes[:-1, :-1]
-    diagonals = (falling, nodes[:-1, 1:] - nodes[1:, :-1])
-    longest = np.maximum(*(np.sum(line**2, axis=-1) for line in diagonals))
+    rising = nodes[:-1, 1:] - nodes[1:, :-1]
+    longest = np.maximum(np.sum(falling**2, axis=-1), np.sum(rising**2, axis=-1))
     area[2 * np.abs(area) <= _FLAT * longest] = np.nan
     total = integrals(_sums(np.where(is_valid, part, 0.0)), x, y)
     weight = area if is_valid.all() else integrals(_sums(is_valid), x, y)
     share = weight / area
-    return np.where(share >= 0.5 - _EDGE, total / np.where(share > 0, weight, 1.0), np.nan)
+    mean = total / np.where(share > 0, weight, 1.0)
+    return np.where(share >= 0.5 - _EDGE, mean, np.nan)
 
 
 def _sums(values: Array) -> Floats:
+    """Sums (rows + 1, cols) of the values of each column above each row."""
     sums = np.zeros((values.shape[0] + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=sums[1:])
     return sums
@@ -242,44 +258,54 @@ def find_patches(mapping: Mapping, tile: Tile, source: Shape) -> tuple[Integers,
     after the last; and the places (n, 4, 4, 2), (x, y) in source pixels, of points at thirds of
     their height and width, outline included.
     """
+    # Bounds of blocks: first row, row after the last, and likewise columns, (n, 4).
     bounds = np.array(tiles_of(tile.shape, (_BLOCK, _BLOCK)), np.int64)
-    bounds += np.array([tile.r0, tile.r0, tile.c0, tile.c0])
+    bounds += np.repeat([tile.r0, tile.c0], 2)
     patches: list[tuple[Integers, Floats]] = []
 
     def places_at(shares: Floats) -> Floats:
         y0, y1, x0, x1 = bounds.T[..., None]
         y = y0 + shares * (y1 - y0) - 0.5
         x = x0 + shares * (x1 - x0) - 0.5
-        return mapping(np.stack(np.broadcast_arrays(x[:, None, :], y[:, :, None]), axis=-1))
+        columns = np.broadcast_arrays(x[:, None, :], y[:, :, None])
+        return mapping(np.stack(columns, axis=-1))
 
     while len(bounds):
         nodes = places_at(_NODES)
         tests = places_at(_TEST)
-        node_known, test_known = (are_known(p).reshape(len(p), -1) for p in (nodes, tests))
-        is_defined = np.concatenate([node_known, test_known], axis=1)
-        is_finite = is_defined.all(axis=1)
-        error = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2))
-        error = np.where(is_finite, error, np.inf)
+        node_known = are_known(nodes)
+        test_known = are_known(tests)
+        is_finite = node_known.all(axis=(1, 2)) & test_known.all(axis=(1, 2))
+        is_defined = node_known.any(axis=(1, 2)) | test_known.any(axis=(1, 2))
+        errors = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1)
+        error = np.where(is_finite, errors.max(axis=(1, 2)), np.inf)
         low = nodes.min(axis=(1, 2))
         high = nodes.max(axis=(1, 2))
         # a patch that is further away from the source shows nothing of it.
         margin = (2 * error + 2.0)[:, None]
         last_pixel = (source[1] - 1, source[0] - 1)
-        is_outside = np.any((high + margin < 0) | (low - margin > last_pixel), axis=1)
-        is_empty = (is_finite & is_outside) | ~is_defined.any(axis=1)
+        is_beyond = (high + margin < 0) | (low - margin > last_pixel)
+        is_empty = (is_finite & is_beyond.any(axis=1)) | ~is_defined
         y0, y1, x0, x1 = bounds.T
         is_single = (y1 - y0 == 1) & (x1 - x0 == 1)
         # Where it is tested the polynomial may err by half; the rest is for between the tests. What
         # is summed for area means stays in the cache where no more pixels of the source lie under a
         # patch.
-        small = (error <= 0.5 * TOLERANCE) & ((high - low).prod(axis=1) <= 2**18)
+        source_area = (high - low).prod(axis=1)
+        small = (error <= 0.5 * TOLERANCE) & (source_area <= 2**18)
         is_patch = is_finite & ~is_empty & (small | is_single)
         patches.append((bounds[is_patch], nodes[is_patch]))
         # The others are cut in the middle of both sides.
         y0, y1, x0, x1 = bounds[~(is_patch | is_empty | is_single)].T
-        y, x = (y0 + y1 + 1) // 2, (x0 + x1 + 1) // 2
-        halves = product(((y0, y), (y, y1)), ((x0, x), (x, x1)))
-        bounds = np.concatenate([np.stack([*rows, *cols], axis=1) for rows, cols in halves])
+        y = (y0 + y1 + 1) // 2
+        x = (x0 + x1 + 1) // 2
+        quarters = [
+            (y0, y, x0, x),
+            (y0, y, x, x1),
+            (y, y1, x0, x),
+            (y, y1, x, x1),
+        ]
+        bounds = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
         y0, y1, x0, x1 = bounds.T
         bounds = bounds[(y1 > y0) & (x1 > x0)]
     all_bounds, all_nodes = zip(*patches, strict=True)
@@ -291,9 +317,10 @@ def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
 
     The values, (..., p, q, 2), are those at shares (p,) of the height and (q,) of the width.
     """
-    down = _weights(v)
-    across = _weights(u)
-    return np.moveaxis(down @ np.moveaxis(nodes, -1, -3) @ across.T, -3, -1)
+    # x and y apart, for matrices of rows and columns.
+    coordinates = np.moveaxis(nodes, -1, -3)
+    values = _weights(v) @ coordinates @ _weights(u).T
+    return np.moveaxis(values, -3, -1)
 
 
 def _weights(shares: Floats) -> Floats:
