@@ -98,35 +98,39 @@ class Page:
         plan_size = np.asarray(size_um)
         max_scale = float(min(1000 * room_mm / plan_size))
         self.scale = max((scale for scale in _SCALES if scale <= max_scale), default=max_scale)
-        x_mm, y_mm = np.array([24.0, 36.0]) + (room_mm - plan_size * self.scale / 1000) / 2
+        plan_mm = plan_size * self.scale / 1000
+        x_mm, y_mm = np.array([24.0, 36.0]) + (room_mm - plan_mm) / 2
         self.plan = self.add_plan(x_mm, y_mm, low_um, size_um, self.scale)
         self.scale_bar(24, 199, self.scale, max_mm=40)
         ratio = f"{self.scale:g}:1" if self.scale >= 1 else f"1:{1 / self.scale:.3g}"
         self.text(90, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
         line_x = (ASIDE - 6) / self.width
-        self.figure.add_artist(Line2D([line_x, line_x], [0.05, 0.85], color=FAINT, lw=0.6))
+        line = Line2D([line_x, line_x], [0.05, 0.85], color=FAINT, lw=0.6)
+        self.figure.add_artist(line)
+        # Where the next part of the column begins, in mm from the top.
         self.bottom = 38.0
 
     def add_plan(
         self, x_mm: float, y_mm: float, low_um: Point, size_um: Point, scale: float
     ) -> Axes:
         """Add bare axes in um showing ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
-        width_mm, height_mm = (scale * side / 1000 for side in size_um)
-        box = (
-            x_mm / self.width,
-            1 - (y_mm + height_mm) / self.height,
-            width_mm / self.width,
-            height_mm / self.height,
-        )
-        x, y = low_um
+        x_um, y_um = low_um
         width_um, height_um = size_um
-        axes = self.figure.add_axes(box, xlim=(x, x + width_um), ylim=(y, y + height_um))
+        width_mm = scale * width_um / 1000
+        height_mm = scale * height_um / 1000
+        left = x_mm / self.width
+        bottom = 1 - (y_mm + height_mm) / self.height
+        box = (left, bottom, width_mm / self.width, height_mm / self.height)
+        axes = self.figure.add_axes(box)
+        axes.set(xlim=(x_um, x_um + width_um), ylim=(y_um, y_um + height_um))
         axes.set_axis_off()
         return axes
 
     def text(self, x_mm: float, y_mm: float, text: str, **options: Any) -> None:
         """Write, from the base line on."""
-        self.figure.text(x_mm / self.width, 1 - y_mm / self.height, text, va="baseline", **options)
+        x = x_mm / self.width
+        y = 1 - y_mm / self.height
+        self.figure.text(x, y, text, va="baseline", **options)
 
     def aside(
         self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()
@@ -226,7 +230,8 @@ def drawing_page(pattern: Pattern) -> Page:
     )
     if view[0] <= 62_000 and view[1] <= 95_000:
         page.aside("True size (print without fitting)")
-        _holes(page.add_plan(ASIDE, page.bottom - 12, (x, y), view, 1.0), pattern, FAINT)
+        plan = page.add_plan(ASIDE, page.bottom - 12, (x, y), view, 1.0)
+        _holes(plan, pattern, FAINT)
         page.scale_bar(ASIDE, page.bottom - 9 + view[1] / 1000, 1.0, max_mm=10)
     return page
 
@@ -245,7 +250,8 @@ def error_page(
     _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
     page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
     field_points = predicted.field_um
-    worst = field_points[1 + int(np.argmax(predicted.at(field_points[1:])))]
+    middle, *corners = field_points
+    worst = corners[np.argmax(predicted.at(corners))]
     text_box = {
         "boxstyle": "round,pad=0.3",
         "facecolor": "white",
@@ -253,12 +259,13 @@ def error_page(
         "alpha": 0.9,
     }
     marked_points = (
-        (field_points[0], predicted.centre_um, "middle"),
+        (middle, predicted.centre_um, "middle"),
         (worst, predicted.corner_um, "worst corner"),
     )
     for point, error_um, name in marked_points:
         page.plan.plot(*point[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
-        x, y = np.sign(field_points[0] - point)
+        # Towards the middle, so that the text stays inside the field.
+        x, y = np.sign(middle - point)
         look: Entries = {"ha": ("center", "left", "right")[int(x)], "fontsize": 8.5}
         offset_pt = (10 * x, 12 * (y or -1))
         _write(page.plan, point, f"{name}: {error_um:.2f} µm", offset_pt, bbox=text_box, **look)
@@ -305,7 +312,8 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     axes.clabel(contours, fmt="%.2f", fontsize=7)
     plan_box = axes.get_position()
     bar_left = plan_box.x1 + 4 / page.width
-    bar_axes = page.figure.add_axes((bar_left, plan_box.y0, 3.5 / page.width, plan_box.height))
+    bar_box = (bar_left, plan_box.y0, 3.5 / page.width, plan_box.height)
+    bar_axes = page.figure.add_axes(bar_box)
     colour_bar = page.figure.colorbar(image, cax=bar_axes)
     colour_bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     colour_bar.ax.set_title("µm", fontsize=8)
@@ -326,7 +334,8 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
             middle = (a + b) / 2
             _arrow(axes, middle, middle + 0.01 * (b - a), color=SOFT, lw=0.8)
     axes.plot(*shots_um.T, "o", ms=4.5, color=ACCENT, clip_on=False)
-    _numbers(axes, shots_um, [str(k + 1) for k in range(len(shots_um))], low, size)
+    shot_numbers = [str(k + 1) for k in range(len(shots_um))]
+    _numbers(axes, shots_um, shot_numbers, low, size)
     for place, name, dy in ((path_um[0], "begins", 7), (path_um[-1], "ends", -7)):
         axes.plot(*place[:, None], "s", ms=5, mfc="white", mec=INK, clip_on=False)
         _write(axes, place, name, (-7, dy), fontsize=7.5, ha="right")
@@ -355,6 +364,7 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
 
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
+    """Write the labels of points beside them, inwards of the rectangle from ``low`` on."""
     towards_middle = low + size / 2 - points
     inwards = np.sign(towards_middle) * (np.abs(towards_middle) > 0.4 * size)
     inwards[~inwards.any(axis=1)] = [0.7, 0.7]

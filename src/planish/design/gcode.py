@@ -6,8 +6,6 @@ A stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing f
 import math
 import re
 from dataclasses import dataclass, field
-from functools import partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -137,8 +135,10 @@ def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
     -------
     array, shape (n,); numbers of the points in the order of the path
     """
-    places = np.vstack([start_um, np.asarray(points_um, dtype=np.float64).reshape(-1, 2)])
-    distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+    points = np.asarray(points_um, dtype=np.float64).reshape(-1, 2)
+    places = np.vstack([start_um, points])
+    x, y = places.T
+    distances = np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y))
     open_distances = distances.copy()
     open_distances[:, 0] = np.inf
     tour = np.zeros(len(places), dtype=np.intp)
@@ -154,7 +154,8 @@ def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
             b = tour[i + 1]
             c = tour[i + 1 :]
             d = np.append(tour[i + 2 :], tour[0])
-            gain = distances[a, b] + distances[c, d] - distances[a, c] - distances[b, d]
+            before = distances[a, b] + distances[c, d]
+            gain = before - distances[a, c] - distances[b, d]
             best = int(np.argmax(gain))
             if gain[best] > 1e-6:
                 turned = slice(i + 1, i + 2 + best)
@@ -199,16 +200,21 @@ def pattern_dxf(pattern: Pattern) -> str:
     for layer, colour in _LAYER_COLOURS.items():
         groups += [(0, "LAYER"), (2, layer), (70, 64), (62, colour), (6, "CONTINUOUS")]
     groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
-    for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
-        for layer, radius in (("HOLES", 0.5 * diameter), ("BURNT", pattern.burnt_um)):
-            groups += _entity("CIRCLE", layer, *_point(10, x, y), (40, _mm(radius)))
-        groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
+    for hole in pattern.holes:
+        x, y = hole.x_um, hole.y_um
+        groups += _circle("HOLES", x, y, 0.5 * diameter)
+        groups += _circle("BURNT", x, y, pattern.burnt_um)
+        number_x = x + 0.6 * diameter + pattern.rim_um
+        groups += _text("NUMBERS", number_x, y, diameter, hole.label)
     groups += _rectangle("FIELD", pattern.field_low_um, pattern.field_um)
     groups += _rectangle("VIEW", (x0, y0), pattern.view_um)
+    # The axes of the stage.
     arm = 3 * diameter
     x_end, y_end = (x0 + arm, y0), (x0, y0 + arm)
-    groups += _line("ORIGIN", (x0, y0), x_end) + _line("ORIGIN", (x0, y0), y_end)
-    groups += _text("ORIGIN", *x_end, diameter, "x") + _text("ORIGIN", *y_end, diameter, "y")
+    groups += _line("ORIGIN", (x0, y0), x_end)
+    groups += _line("ORIGIN", (x0, y0), y_end)
+    groups += _text("ORIGIN", *x_end, diameter, "x")
+    groups += _text("ORIGIN", *y_end, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
     head = _DXF_HEAD.format(name=name, lowest=lowest, highest=highest, count=len(_LAYER_COLOURS))
     return head + _lines(groups)
@@ -218,6 +224,11 @@ def _entity(kind: str, layer: str, *groups: tuple[int, Any]) -> Groups:
     return [(0, kind), (8, layer), *groups]
 
 
+def _circle(layer: str, x_um: float, y_um: float, radius_um: float) -> Groups:
+    place = _point(10, x_um, y_um)
+    return _entity("CIRCLE", layer, *place, (40, _mm(radius_um)))
+
+
 def _line(layer: str, start: Pair | Floats, end: Pair | Floats) -> Groups:
     return _entity("LINE", layer, *_point(10, *start), *_point(11, *end))
 
@@ -225,7 +236,10 @@ def _line(layer: str, start: Pair | Floats, end: Pair | Floats) -> Groups:
 def _rectangle(layer: str, low_um: Pair | Floats, size_um: Pair | Floats) -> Groups:
     """The four sides of a rectangle, counter-clockwise from its lower left corner."""
     corners = low_um + CORNERS * size_um
-    return list(chain(*map(partial(_line, layer), corners, np.roll(corners, -1, axis=0))))
+    groups: Groups = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        groups += _line(layer, start, end)
+    return groups
 
 
 def _lines(groups: Groups) -> str:
@@ -279,7 +293,8 @@ class DryRun:
     @property
     def length_um(self) -> float:
         """Length of the path."""
-        return float(np.sum(np.hypot(*np.diff(self.path_um, axis=0).T)))
+        steps_um = np.diff(self.path_um, axis=0)
+        return float(np.sum(np.hypot(*steps_um.T)))
 
     def sentence(self) -> str:
         """Write the dry run in a line."""
@@ -310,7 +325,9 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
     """
     machine = _Machine((stage or StageParams()).range_um, pulse_s)
     for number, line in enumerate(program.splitlines(), 1):
-        text = re.sub(r"\([^()]*\)", " ", line.partition(";")[0]).strip().upper()
+        # Comments stand behind a semicolon or in brackets.
+        before_comment, _, _ = line.partition(";")
+        text = re.sub(r"\([^()]*\)", " ", before_comment).strip().upper()
         if not text or text == "%":
             continue
         try:
@@ -331,12 +348,14 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
         raise MarkError(
             "The program fires no shot. Give a stage program of 'planish marks design'."
         )
+    # Between on and off, and off and on, in turn.
     pauses_s = np.diff(machine.switched_s)[1::2]
+    least_pause_s = float(min(pauses_s, default=math.nan))
     return DryRun(
         fired_um=np.array(machine.shots_um),
         pulse_s=np.array(machine.pulses_s),
         path_um=np.array(machine.corners_um),
-        least_pause_s=float(min(pauses_s, default=math.nan)),
+        least_pause_s=least_pause_s,
         time_s=machine.clock_s,
     )
 
@@ -388,9 +407,10 @@ class _Machine:
             raise MarkError("the program goes on after its end; remove what follows M2")
         commands, arguments = _words_of(text)
         # After the first move a position without a command is one, too.
-        if not commands and self.executed & {"G0", "G1"} and arguments.keys() & {"X", "Y"}:
+        has_moved = bool(self.executed & {"G0", "G1"})
+        if not commands and has_moved and arguments.keys() & {"X", "Y"}:
             commands = ["G0"]
-        allowed_letters = "".join(map(_COMMANDS.__getitem__, commands)) if commands else "F"
+        allowed_letters = "".join(_COMMANDS[command] for command in commands) if commands else "F"
         for letter in arguments:
             if letter not in allowed_letters:
                 raise MarkError(f"{letter} has no meaning here")
@@ -478,5 +498,6 @@ class _Machine:
         if self.corners_um:
             if self.speed_mm_min is None:
                 raise MarkError("a move before a speed F")
-            self.clock_s += 60 * math.dist(target, self.corners_um[-1]) / 1000 / self.speed_mm_min
+            distance_um = math.dist(target, self.corners_um[-1])
+            self.clock_s += 60 * distance_um / 1000 / self.speed_mm_min
         self.corners_um.append(target)

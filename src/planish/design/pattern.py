@@ -88,8 +88,9 @@ class Pattern(BaseModel):
     def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Self:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
         holes: list[PatternHole] = []
-        for k, ((x, y), line) in enumerate(zip(points_um.tolist(), lines, strict=True), 1):
-            holes.append(PatternHole(label=str(k), x_um=x, y_um=y, line=line))
+        for (x, y), line in zip(points_um.tolist(), lines, strict=True):
+            label = str(len(holes) + 1)
+            holes.append(PatternHole(label=label, x_um=x, y_um=y, line=line))
         return self.model_copy(update={"holes": tuple(holes)})
 
     @property
@@ -183,7 +184,8 @@ def own_pattern(
         If there are fewer than three holes, or they lie on one line along an axis.
     """
     burn = {key: DesignParams.model_fields[key].default for key in BURN}
-    diameter = burn["diameter_um"] = diameter_um or burn["diameter_um"]
+    diameter = diameter_um or burn["diameter_um"]
+    burn["diameter_um"] = diameter
     points = np.asarray(points_um, dtype=np.float64).reshape(-1, 2)
     if len(points) < 3:
         raise MarkError(f"{len(points)} holes are no pattern. Give 12 or more, around the field.")
@@ -271,9 +273,8 @@ def read_pattern(
         raise MarkError(
             f"{file_path.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible."
         )
-    return own_pattern(
-        columns[:, :2], name=file_path.stem, field_um=field_um, diameter_um=diameter_um
-    )
+    points_um = columns[:, :2]
+    return own_pattern(points_um, name=file_path.stem, field_um=field_um, diameter_um=diameter_um)
 
 
 # Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
@@ -314,7 +315,8 @@ class Predicted:
         offsets = np.asarray(points_um) - self.holes_um.mean(axis=0)
         r2 = np.sum(offsets**2, axis=-1)
         mean_um = self.fle_um / np.sqrt(len(self.holes_um))
-        return np.asarray(mean_um * np.sqrt(1 + r2 / self.radius_um**2))
+        growth = np.sqrt(1 + r2 / self.radius_um**2)
+        return np.asarray(mean_um * growth)
 
     def sentence(self) -> str:
         """Write the error in a line."""
@@ -350,8 +352,9 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
     """
     imaging = imaging or ImagingParams()
     arcs = max(np.pi * diameter_um / imaging.rim_length_um, 3.0)  # fewer fix no circle
-    rim = 4 * imaging.roughness_um**2 / arcs
-    return float(np.sqrt(sum(rim + 2 * (0.1 * pixel) ** 2 for pixel in imaging.pixel_um)))
+    rim_um2 = 4 * imaging.roughness_um**2 / arcs
+    variances_um2 = [rim_um2 + 2 * (0.1 * pixel) ** 2 for pixel in imaging.pixel_um]
+    return float(np.sqrt(sum(variances_um2)))
 
 
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:

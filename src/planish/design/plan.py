@@ -4,7 +4,7 @@ Holes lie on whole steps of 50 um on lines along the sides of the frame, counter
 lower left corner, which is empty; each other corner holds the first hole of a line.
 """
 
-from itertools import combinations
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +40,15 @@ def _place_side(
 ) -> Steps | None:
     """Place ``n_holes`` holes between a side's corners and give them with those in the corners.
 
-    None if none fit.
+    Positions along the side in whole steps, from 0 to ``n_steps``; sides are numbered
+    counter-clockwise from the bottom. None if none fit.
 
     The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few of
-    those ``used`` repeat.
+    those ``used`` by the sides before repeat.
     """
-    spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
-    marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
+    spacing_steps = math.ceil(blank.spacing_um / STEP_UM - 1e-9)
+    marker_steps = math.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)
+    marker_steps = max(spacing_steps, marker_steps)
     # The corner between the last side and the first stays empty.
     has_start = int(side != 0)
     has_end = int(side != 3)
@@ -59,13 +61,12 @@ def _place_side(
             inner_positions = ends.astype(np.int64)[None, :-1]
         else:
             inner_positions = _draw_positions(blank, side, low_step, n_holes, rng)
-        positions = np.pad(
-            inner_positions, [(0, 0), (has_start, has_end)], constant_values=(0, n_steps)
-        )
+        corners = [(0, 0), (has_start, has_end)]
+        positions = np.pad(inner_positions, corners, constant_values=(0, n_steps))
         is_spaced = np.all(np.diff(positions, axis=1) >= spacing_steps, axis=1)
-        positions = positions[
-            is_spaced & (inner_positions[:, 0] >= low_step) & (inner_positions[:, -1] <= high_step)
-        ]
+        is_inside = inner_positions[:, 0] >= low_step
+        is_inside &= inner_positions[:, -1] <= high_step
+        positions = positions[is_spaced & is_inside]
         distances = _distances(positions)
         if not rate:
             gaps = np.diff(np.sort(distances, axis=1), axis=1)
@@ -74,8 +75,9 @@ def _place_side(
             positions = positions[is_golomb][:400]
             distances = distances[is_golomb][:400]
         if len(positions):
-            n_repeated = np.isin(distances, np.fromiter(used, dtype=np.int64)).sum(axis=1)
-            return positions[int(np.argmin(n_repeated))]
+            is_repeated = np.isin(distances, list(used))
+            fewest = np.argmin(is_repeated.sum(axis=1))
+            return positions[fewest]
     return None
 
 
@@ -88,10 +90,13 @@ def _draw_positions(
     it; each other hole near the start has a partner not quite a window's length away, so that one
     enters before the other leaves.
     """
+    # All lengths in steps; positions count from the corner, the view begins a border before it.
     view_steps = float(blank.view_um[side % 2]) / STEP_UM
     border_steps = blank.border_um / STEP_UM
     radius = 0.5 * blank.diameter_um / STEP_UM
-    window_steps, edge_steps = 0.7 * view_steps, 0.3 * view_steps
+    window_steps = 0.7 * view_steps
+    edge_steps = 0.3 * view_steps
+    # With those in pairs, of which one is in every window, four or more.
     n_middle = min(n_holes, max(8 - n_holes, n_holes % 2))
     pair_shape = (4000, (n_holes - n_middle) // 2)
     start_high = max(edge_steps - border_steps, low_step + 1)
@@ -99,10 +104,11 @@ def _draw_positions(
     gaps = rng.uniform(0, 0.4, pair_shape) ** 2 * view_steps
     end_positions = start_positions + (window_steps - 2 * radius - 1) - gaps
     middle_low = edge_steps - border_steps + radius
-    middle_high = window_steps - border_steps - radius
-    middle_positions = rng.uniform(middle_low, max(middle_high, middle_low + 1), (4000, n_middle))
+    middle_high = max(window_steps - border_steps - radius, middle_low + 1)
+    middle_positions = rng.uniform(middle_low, middle_high, (4000, n_middle))
     positions = np.concatenate([start_positions, end_positions, middle_positions], axis=1)
-    return np.sort(np.round(positions).astype(np.int64), axis=1)
+    whole_positions = np.round(positions).astype(np.int64)
+    return np.sort(whole_positions, axis=1)
 
 
 def _distances(marks: Steps) -> Steps:
@@ -111,9 +117,9 @@ def _distances(marks: Steps) -> Steps:
     All distances would be (batch, n (n - 1) / 2).
     """
     n = marks.shape[1]
-    pairs = [pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]
-    first, last = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    return marks[:, last] - marks[:, first]
+    first, last = np.triu_indices(n, 1)
+    is_inner = last - first < n - 1
+    return marks[:, last[is_inner]] - marks[:, first[is_inner]]
 
 
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
@@ -153,7 +159,8 @@ def design_pattern(params: DesignParams) -> Design:
     reasons: dict[int, str] = {}
     for blank in blanks:
         for hole_count in hole_counts:
-            design = _search(blank, hole_count, np.random.default_rng([params.seed, hole_count]))
+            rng = np.random.default_rng([params.seed, hole_count])
+            design = _search(blank, hole_count, rng)
             if not isinstance(design, str):
                 return design
             reasons[hole_count] = design
@@ -171,7 +178,10 @@ def design_pattern(params: DesignParams) -> Design:
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:
-    """A pattern without holes; MarkError where spacing or margin are too small for them."""
+    """A pattern without holes; MarkError where spacing or margin are too small for them.
+
+    The margin may become somewhat wider than asked for, so that the frame has whole steps.
+    """
     min_spacing_um = SPACING_DIAMETERS * params.diameter_um
     rim_reach_um = 0.5 * params.diameter_um + params.rim_um
     spacing_um = params.spacing_um
@@ -195,9 +205,11 @@ def _blank_pattern(params: DesignParams) -> Pattern:
         raise MarkError(f"No pattern can be planned with {'; '.join(faults)}. Give a larger one.")
     # Opposite corners lie whole steps apart, so the margins take up what the field leaves over.
     field_um = np.array(params.field_um)
-    margin_um = (STEP_UM * np.ceil((field_um + 2 * margin) / STEP_UM - 1e-9) - field_um) / 2
+    frame_steps = np.ceil((field_um + 2 * margin) / STEP_UM - 1e-9)
+    margin_um = (STEP_UM * frame_steps - field_um) / 2
+    wanted = params.model_dump(include={"name", "layout", "field_um", "origin_um", "seed", *BURN})
     return Pattern(
-        **params.model_dump(include={"name", "layout", "field_um", "origin_um", "seed", *BURN}),
+        **wanted,
         spacing_um=spacing_um,
         margin_um=margin_um.tolist(),
         border_um=BORDER_DIAMETERS * params.diameter_um,
@@ -207,7 +219,8 @@ def _blank_pattern(params: DesignParams) -> Pattern:
 def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design | str:
     """Draw patterns until some keep all rules.
 
-    Gives the one with the weakest rival, or the reason why there is none.
+    Gives the one with the weakest rival, that is, the wrong arrangement that meets fewest holes; or
+    the reason why there is none. ``blank`` has no holes yet.
     """
     area = area_rule(blank, hole_count)
     if not area.passed:
@@ -262,20 +275,21 @@ def _broken(rules: Rules) -> list[Rule]:
 
 def _rank(rules: Rules) -> Pair:
     """Share of holes met in the best rival, and minus the misfit of the code: least is best."""
-    rival_share = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
+    shares = [rule.value for rule in rules if rule.sense == "at most" and not rule.unit]
     code_misfit = next(rule.value for rule in rules if rule.name == "code")
-    return round(rival_share, 6), -code_misfit
+    return round(max(shares), 6), -code_misfit
 
 
 def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Pattern | None:
     """Draw a pattern, side by side; None where the holes of a side do not fit."""
     width_steps, height_steps = (round(side_um / STEP_UM) for side_um in blank.frame_um)
     side_steps = (width_steps, height_steps, width_steps, height_steps)
-    hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4  # Three corners hold holes too.
-    for _ in range(max(0, hole_count - 3 - sum(hole_counts))):
+    n_inner_holes = hole_count - 3  # Three corners hold holes too.
+    hole_counts = np.full(4, min(4, max(1, n_inner_holes // 4)))
+    while hole_counts.sum() < n_inner_holes:
         # The side on which the holes are farthest apart gets the next one.
-        gaps = [n / (count + 1) for n, count in zip(side_steps, hole_counts, strict=True)]
-        hole_counts[int(np.argmax(gaps))] += 1
+        gaps = np.divide(side_steps, hole_counts + 1)
+        hole_counts[np.argmax(gaps)] += 1
     # Last pitch over first pitch, less 1.
     usual_rates = rng.permutation(np.array([1.0, 1.5, 2.1, 2.8]))
     rates = usual_rates + rng.uniform(-0.4, 0.4, 4)
@@ -284,14 +298,17 @@ def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> 
     side_names: list[str] = []
     corners = CORNERS * (width_steps, height_steps)
     directions = np.roll(CORNERS, -1, axis=0) - CORNERS
-    for side_number, (n_steps, n_inner) in enumerate(zip(side_steps, hole_counts, strict=True)):
-        rate = float(rates[side_number]) if blank.layout == "line" else 0.0
-        positions = _place_side(blank, side_number, n_steps, n_inner, rate, used_distances, rng)
+    for side, n_steps in enumerate(side_steps):
+        rate = float(rates[side]) if blank.layout == "line" else 0.0
+        n_inner = int(hole_counts[side])
+        positions = _place_side(blank, side, n_steps, n_inner, rate, used_distances, rng)
         if positions is None:
             return None
-        used_distances |= set(_distances(positions[None])[0].tolist())
+        used_distances.update(_distances(positions[None])[0].tolist())
         # The hole at the end is the first one of the next side.
-        positions = positions[:-1] if side_number != 3 else positions
-        side_points.append(corners[side_number] + positions[:, None] * directions[side_number])
-        side_names += [SIDES[side_number]] * len(positions)
-    return blank.with_holes(STEP_UM * np.concatenate(side_points) + blank.frame_low_um, side_names)
+        if side != 3:
+            positions = positions[:-1]
+        side_points.append(corners[side] + positions[:, None] * directions[side])
+        side_names += [SIDES[side]] * len(positions)
+    points_um = STEP_UM * np.concatenate(side_points) + blank.frame_low_um
+    return blank.with_holes(points_um, side_names)

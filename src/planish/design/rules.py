@@ -33,32 +33,42 @@ class Motions(NamedTuple):
 
     def best_count(self, kind: str) -> int:
         """Count the holes that the best motion of a kind explains."""
-        return int(np.sum(self.hit[self.kind == kind], axis=1).max(initial=0))
+        counts = self.hit[self.kind == kind].sum(axis=1)
+        return int(counts.max(initial=0))
 
 
 def self_motions(points_um: Floats) -> Motions:
-    """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
+    """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose.
+
+    A motion is a turn, a shift and a scale within 3 %, with the pattern turned over or not; a pair
+    proposes one to every pair of like length.
+    """
     z = points_um[:, 0] + 1j * points_um[:, 1]
     start, end = np.triu_indices(len(z), 1)
     base_pairs = np.stack([start, end], axis=1)
     length = np.abs(z[end] - z[start])
     order = np.argsort(length, kind="stable")
-    first = np.searchsorted(length[order], (1 - SCALE) * length, side="left")
-    last = np.searchsorted(length[order], (1 + SCALE) * length, side="right")
+    # The pairs of like length follow each other in that order: of each pair, where they begin and
+    # how many they are.
+    sorted_length = length[order]
+    first = np.searchsorted(sorted_length, (1 - SCALE) * length, side="left")
+    last = np.searchsorted(sorted_length, (1 + SCALE) * length, side="right")
+    n_like = last - first
     # Each target is taken in both directions and in both hands; beyond so many motions pairs are
     # thinned out evenly.
-    step = max(1.0, 4.0 * float(np.sum(last - first)) / 60_000)
-    pair_numbers = np.unique(np.arange(0, len(base_pairs), step).astype(np.intp))
-    counts = (last - first)[pair_numbers]
+    step = max(1.0, 4.0 * float(n_like.sum()) / 60_000)
+    pair_numbers = np.arange(0, len(base_pairs), step).astype(np.intp)
+    counts = n_like[pair_numbers]
     repeated_numbers = np.repeat(pair_numbers, counts)
-    offset = np.arange(len(repeated_numbers)) - np.repeat(np.cumsum(counts) - counts, counts)
+    begins = np.cumsum(counts) - counts
+    offset = np.arange(len(repeated_numbers)) - np.repeat(begins, counts)
     goal_pairs = base_pairs[order][first[repeated_numbers] + offset]
     bases = np.tile(base_pairs[repeated_numbers], (2, 1))
-    goals = np.concatenate([goal_pairs, goal_pairs[:, ::-1]])
+    goals = np.concatenate([goal_pairs, np.flip(goal_pairs, axis=1)])
     tree = cKDTree(points_um)
-    motions = [_motion_hits(z, bases, goals, tree, mirrored) for mirrored in (False, True)]
-    hits, kinds = map(np.concatenate, zip(*motions, strict=True))
-    return Motions(hits, kinds)
+    hits, kinds = _motion_hits(z, bases, goals, tree, mirrored=False)
+    mirror_hits, mirror_kinds = _motion_hits(z, bases, goals, tree, mirrored=True)
+    return Motions(np.concatenate([hits, mirror_hits]), np.concatenate([kinds, mirror_kinds]))
 
 
 def _motion_hits(
@@ -66,17 +76,24 @@ def _motion_hits(
     base_pairs: Ints,
     goal_pairs: Ints,
     tree: cKDTree,
+    *,
     mirrored: bool,
 ) -> tuple[Bools, NDArray[np.str_]]:
-    """Holes (motions, n) met by a motion from each base pair to its goal, and its kind."""
+    """Holes (motions, n) met by a motion from each base pair to its goal, and its kind.
+
+    ``z`` are the holes as complex numbers x + iy, ``tree`` finds them by place; pairs (motions, 2)
+    are numbers of holes. A shift that leaves a hole where it is does not meet it.
+    """
     source = np.conj(z) if mirrored else z
     is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]
     if not mirrored:
         is_motion &= np.any(base_pairs != goal_pairs, axis=1)
     start, end = base_pairs[is_motion].T
     goal_start, goal_end = goal_pairs[is_motion].T
+    # The motion is alpha z + shift.
     alpha = (z[goal_end] - z[goal_start]) / (source[end] - source[start])
-    moved_points = alpha[:, None] * source + (z[goal_start] - alpha * source[start])[:, None]
+    shift = z[goal_start] - alpha * source[start]
+    moved_points = alpha[:, None] * source + shift[:, None]
     moved_xy = np.stack([moved_points.real, moved_points.imag], axis=-1)
     # Two holes fix the motion, and each may be off. Where no hole is so near, the number is len(z).
     holes = np.asarray(tree.query(moved_xy, distance_upper_bound=1.5 * TOLERANCE_UM)[1])
@@ -84,12 +101,13 @@ def _motion_hits(
     if mirrored:
         return is_hit, np.full(len(is_hit), "mirror")
     turn_deg = np.abs(np.degrees(np.angle(alpha)))
-    is_hit &= ~((turn_deg < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
+    is_turned = turn_deg >= _TURN_DEG
+    is_other_hole = holes != np.arange(len(z))
+    is_hit &= is_turned[:, None] | is_other_hole
     is_half_turn = turn_deg >= 180 - _TURN_DEG
     is_quarter_turn = np.abs(turn_deg - 90) <= _TURN_DEG
-    return is_hit, np.select(
-        [is_half_turn, is_quarter_turn], ["half turn", "quarter turn"], "shift"
-    )
+    kinds = np.select([is_half_turn, is_quarter_turn], ["half turn", "quarter turn"], "shift")
+    return is_hit, kinds
 
 
 def perimeter_order(points_um: Floats) -> Ints:
@@ -118,16 +136,21 @@ def code_misfit_um(points_um: Floats) -> float:
     n = len(z)
     if n <= CODE:
         return 0.0
-    windows = z[(np.arange(n)[:, None] + np.arange(CODE)) % n]
+    # Four holes from each one on, about their mean.
+    numbers = np.add.outer(np.arange(n), np.arange(CODE))
+    windows = z[numbers % n]
     windows = windows - windows.mean(axis=1, keepdims=True)
-    power = np.sum(np.abs(windows) ** 2, axis=1)[:, None]
+    power = np.sum(np.abs(windows) ** 2, axis=1, keepdims=True)
     misfits: list[Floats] = []
-    for goal in (windows, windows[:, ::-1]):
+    for goal in (windows, np.flip(windows, axis=1)):
+        # Turn and scale of least squares of each window onto each goal.
         product = np.conj(windows) @ goal.T
-        scale = np.clip(np.abs(product) / power, 1 - SCALE, 1 + SCALE)
+        wanted_scale = np.abs(product) / power
+        scale = np.clip(wanted_scale, 1 - SCALE, 1 + SCALE)
         alpha = scale * np.exp(1j * np.angle(product))
         moved = alpha[:, :, None] * windows[:, None, :]
         misfits.append(np.abs(moved - goal).max(axis=2))
+    # Not with itself.
     np.fill_diagonal(misfits[0], np.inf)
     return float(np.min(misfits))
 
@@ -246,15 +269,19 @@ def simple_rules(pattern: Pattern) -> Rules:
     """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
     points, diameter = pattern.points_um, pattern.diameter_um
     field = np.array(pattern.field_um)
-    outside_um = np.maximum(np.abs(points - pattern.field_low_um - field / 2) - field / 2, 0.0)
-    n_inside = int(np.sum(np.hypot(*outside_um.T) < pattern.burnt_um - 1e-6))
+    from_middle_um = np.abs(points - pattern.field_low_um - field / 2)
+    outside_um = np.maximum(from_middle_um - field / 2, 0.0)
+    to_field_um = np.hypot(*outside_um.T)
+    n_inside = int(np.sum(to_field_um < pattern.burnt_um - 1e-6))
     rms_radius_um = rms_length(points - points.mean(axis=0))
     first, second = np.triu_indices(len(points), 1)
-    least_spacing_um = float(np.hypot(*(points[first] - points[second]).T).min())
+    spacings_um = np.hypot(*(points[first] - points[second]).T)
+    least_spacing_um = float(spacings_um.min())
     # How much farther the emptiest corner of the frame is from its nearest hole than the next one.
     corners = pattern.frame_low_um + pattern.frame_um * CORNERS
-    corner_distances = np.hypot(*(corners - points[:, None]).T).min(axis=1)
-    _, _, next_um, farthest_um = np.sort(corner_distances).tolist()
+    corner_distances = np.hypot(*(corners - points[:, None]).T)
+    nearest_um = corner_distances.min(axis=1)
+    _, _, next_um, farthest_um = np.sort(nearest_um).tolist()
     needed_spacing_um = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
     n_survivors = crops(pattern).sum(axis=1)
     return (
@@ -273,8 +300,9 @@ def area_rule(pattern: Pattern, count: int) -> Rule:
 
     The field itself loses none of it.
     """
-    burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
-    return _rule("area", 100 * burnt / float(pattern.view_um.prod()), 3.0)
+    burnt_diameter_um = pattern.diameter_um + 2 * pattern.rim_um
+    burnt_um2 = count * np.pi / 4 * burnt_diameter_um**2
+    return _rule("area", 100 * burnt_um2 / float(pattern.view_um.prod()), 3.0)
 
 
 def code_rules(pattern: Pattern) -> Rules:
@@ -291,10 +319,14 @@ def matching_rules(pattern: Pattern) -> Rules:
     # Of each crop, the holes that the best motion without a mirror explains.
     is_hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
     hits_left = is_hit @ crop_masks.T.astype(np.float32)
-    hit_counts = np.max(hits_left, axis=0, initial=0).astype(np.intp)
+    hit_counts = np.max(hits_left, axis=0, initial=0)
     # Of so few survivors, three may meet by chance; four are needed to believe an arrangement.
-    worst_share = float(np.max(hit_counts / np.maximum(crop_masks.sum(axis=1), 6)))
-    rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
+    n_survivors = np.maximum(crop_masks.sum(axis=1), 6)
+    worst_share = float(np.max(hit_counts / n_survivors))
+    rivals: Rules = ()
+    for kind in kinds:
+        share = motions.best_count(kind) / len(points)
+        rivals += (_rule(kind, share, RIVAL_SHARE),)
     return (*rivals, _rule(LAST_RULE, worst_share, RIVAL_SHARE))
 
 
@@ -316,8 +348,10 @@ def crops(pattern: Pattern) -> Bools:
         view_um, view_depth_um = pattern.view_um[side_axis], pattern.view_um[depth_axis]
         window_um = (1 - CROP) * view_um
         depth_um = (1 - CROP) * view_depth_um
-        starts_um = np.concatenate([low + 1e-3, high - window_um - 1e-3, [0.0, CROP * view_um]])
-        starts_um = np.unique(np.clip(starts_um, 0.0, CROP * view_um))[:, None]
+        # Windows between which a hole is lost or won, and the outermost.
+        last_um = CROP * view_um
+        starts_um = np.concatenate([low + 1e-3, high - window_um - 1e-3, [0.0, last_um]])
+        starts_um = np.unique(np.clip(starts_um, 0.0, last_um))[:, None]
         is_inside = (low >= starts_um) & (high <= starts_um + window_um)
         survivors.append(is_inside & (highs[depth_axis] <= depth_um))
         survivors.append(is_inside & (lows[depth_axis] >= view_depth_um - depth_um))
