@@ -119,7 +119,8 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     coarse_pose = pose
     for _ in range(2 if has_fine else 0):
         finer_pairs = compare(series, pose, first[is_close], second[is_close], is_fine=True)
-        if not np.median(finer_pairs.sigma[:, 1]) < _SURER * np.median(coarse_sigma):
+        fine_sigma = finer_pairs.sigma[:, 1]
+        if not np.median(fine_sigma) < _SURER * np.median(coarse_sigma):
             fine_pairs, pose = None, coarse_pose
             break
         fine_pairs = finer_pairs
@@ -134,24 +135,25 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     pose_variance = _jackknife_variance(series, coarse_pairs, fine_pairs, components, aligned)
     # A narrow image determines rotations badly: they are shortened to what is more than their own
     # error (Wiener).
-    mean_square_rotation = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
+    square_rotation_sum = np.sum(pose[aligned, 2] ** 2)
     known_share = 0.0
-    if mean_square_rotation > 0:
-        known_share = 1.0 - float(pose_variance[:, 2].mean()) / mean_square_rotation
+    if square_rotation_sum > 0:
+        known_share = 1.0 - float(pose_variance[:, 2].sum() / square_rotation_sum)
     pose[:, 2] *= max(0.0, known_share)
     is_fixed = [False] * 3
     if fixed is not None:
         is_fixed = _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned)
     # The median section: where a hole rules one run of columns, leaving that out tells the error of
     # the others, not of all.
-    jitter_left_um = np.sqrt(np.median(pose_variance[:, :2], axis=0))
+    median_variance = np.median(pose_variance[:, :2], axis=0)
+    n_used = int(is_used.sum())
     return Alignment(
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
         aligned=aligned,
-        jitter_left_um=jitter_left_um,
-        pairs_used=int(is_used.sum()),
-        pairs_refused=int((~is_used).sum()),
+        jitter_left_um=np.sqrt(median_variance),
+        pairs_used=n_used,
+        pairs_refused=is_used.size - n_used,
         cutoff_um=cutoff_um,
         fixed=tuple(is_fixed),
     )
@@ -166,7 +168,8 @@ def _jackknife_variance(
 ) -> Floats:
     """Give the variance of the poses of aligned sections (sections, 3), or NaN.
 
-    It comes from solutions that each leave out a run of columns, of the surface too.
+    It comes from solutions that each leave out a run of columns, of the surface too. ``fine`` pairs
+    are those of next neighbours; None where they show no more than the coarse ones.
     """
     if not aligned.any():
         return np.full((1, 3), np.nan)
@@ -186,8 +189,13 @@ def _jackknife_variance(
 def _add_fixed_drift(
     pose: Floats, fixed: Floats, away_um: Floats, cutoff_um: float, aligned: Bools
 ) -> list[bool]:
-    """Add the slow part of what something fixed shows; True for each axis that it shows."""
-    is_fixed = [bool(share >= 0.5) for share in np.isfinite(fixed).mean(axis=0)]
+    """Add the slow part of what something fixed shows; True for each axis that it shows.
+
+    ``pose`` (sections, 3), which is changed, and ``fixed`` are along (row, col) in um, and in rad;
+    an axis shows it in half of the sections or more.
+    """
+    shares = np.isfinite(fixed).mean(axis=0)
+    is_fixed = (shares >= 0.5).tolist()
     for axis in np.flatnonzero(is_fixed):
         places = fixed[:, axis]
         weights = np.isfinite(places).astype(np.float64)
@@ -203,7 +211,8 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints
     """
     n = away_um.size
     # Neighbours farther apart show other fibres: three missing sections are bridged, no more.
-    n_gaps = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
+    is_gap = np.diff(away_um, prepend=away_um[0]) > 4.5 * pitch_um
+    n_gaps = np.cumsum(is_gap)
     first = np.repeat(np.arange(n), reach)
     second = first + np.tile(np.arange(reach) + 1, n)
     first, second = first[second < n], second[second < n]
@@ -214,14 +223,18 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints
 def _sheet_course(series: SectionSeries, left_out_group: int = -1) -> Floats:
     """Mean height in um, 0, and slope of the smooth surface in each section, (sections, 3).
 
-    One group left out.
+    Heights are rows from the middle of the section. One group of the columns is left out, or none
+    (-1).
     """
-    band, (_, rows, cols) = series.band, series.stack.shape
+    band = series.band
+    _, rows, cols = series.stack.shape
+    row_um, col_um = series.pixel_um
     is_included = band.at_col * GROUPS // cols != left_out_group
-    x = (band.at_col[is_included] - 0.5 * (cols - 1)) * series.pixel_um[1]
-    y = (band.row[:, is_included] - 0.5 * (rows - 1)) * series.pixel_um[0]
+    from_middle = band.at_col[is_included] - 0.5 * (cols - 1)
+    x = from_middle * col_um
+    y = (band.row[:, is_included] - 0.5 * (rows - 1)) * row_um
     mean_height_um, slope = np.polynomial.polynomial.polyfit(x, y.T, 1)
-    return np.stack([mean_height_um, np.zeros_like(mean_height_um), slope], axis=1)
+    return np.stack([mean_height_um, np.zeros_like(slope), slope], axis=1)
 
 
 def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
@@ -230,19 +243,23 @@ def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
     weight_shares = np.zeros((pairs.first.size, 3))
     is_sound = pairs.is_sound
     for axis in range(3):
-        places[:, axis], weight_shares[is_sound, axis] = solve_places(*pairs.sound(axis), n)
+        places[:, axis], shares = solve_places(*pairs.sound(axis), n)
+        weight_shares[is_sound, axis] = shares
     return places, is_sound & (np.min(weight_shares, axis=1) > LEAST_SHARE)
 
 
 def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) -> Floats:
-    """Places along the columns from the coarse and the fine texture together; (sections,)."""
-    # The coarse ones bridge what the fine ones do not hold together, and take over where noise
-    # hides fine texture. Coarse pairs over the same sections, and the next ones, share their
-    # errors: hence the factor on their sigma.
+    """Places along the columns from the coarse and the fine texture together; (sections,).
+
+    The coarse ones bridge what the fine ones do not hold together, and take over where noise hides
+    fine texture.
+    """
+    # Coarse pairs over the same sections, and the next ones, share their errors.
     coarse_pairs = coarse_pairs._replace(sigma=4.0 * coarse_pairs.sigma)
     columns: Any = zip(coarse_pairs.sound(1), fine_pairs.sound(1), strict=True)
     first, second, offset, sigma = map(np.concatenate, columns)
-    return solve_places(first, second, offset, sigma, n)[0]
+    places, _ = solve_places(first, second, offset, sigma, n)
+    return places
 
 
 Strip = tuple[int, int]
@@ -294,12 +311,18 @@ def fixed_places(
         if np.isnan(places[:, 2]).all():
             # Along a column the place is smaller by rotation y, along a row larger by rotation x.
             places[:, 2] = turn if axis == 0 else -turn
-    mean = np.array([np.nanmean(c) if np.isfinite(c).any() else 0.0 for c in places.T])
-    return places - mean
+    for column in places.T:
+        if np.isfinite(column).any():
+            column -= np.nanmean(column)
+    return places
 
 
 def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple[Floats, Floats]:
-    """Place in um and slope of the line of each section, against their mean."""
+    """Place in um and slope of the line of each section, against their mean.
+
+    ``axis`` 0: a line along the rows' pixels, whose place is a row; 1: one along the columns.
+    ``strip`` are the first and the last pixel across it. NaN where a section does not show it.
+    """
     across_um = pixel_um[axis]
     length_px = stack.shape[2 - axis]
     strip_slice = slice(strip[0], strip[1] + 1)
@@ -308,7 +331,8 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     def cut(i: int) -> Floats:
         greys = np.asarray(stack[i], dtype=np.float64)
         greys = greys[strip_slice] if axis == 0 else greys[:, strip_slice].T
-        return np.add.reduceat(greys, piece_edges[:-1], axis=1).T / np.diff(piece_edges)[:, None]
+        piece_sums = np.add.reduceat(greys, piece_edges[:-1], axis=1)
+        return (piece_sums / np.diff(piece_edges)).T
 
     profiles = np.stack(map_threads(cut, range(stack.shape[0])))  # (sections, pieces, across)
     shift = np.zeros(profiles.shape[:2])
@@ -343,8 +367,10 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     line_fits = np.full((is_clear.size, 2), np.nan)
     for i in np.flatnonzero(is_clear):
         is_visible = shows_line[i]
-        line_fits[i] = np.polyfit(along_um[is_visible], (shift[i] - line_course)[is_visible], 1)
-    return line_fits[:, 1], line_fits[:, 0]
+        deviation = shift[i] - line_course
+        line_fits[i] = np.polyfit(along_um[is_visible], deviation[is_visible], 1)
+    slopes, places = line_fits.T
+    return places, slopes
 
 
 def _shifted(profiles: Floats, shift: Floats) -> Floats:
@@ -353,19 +379,22 @@ def _shifted(profiles: Floats, shift: Floats) -> Floats:
     position = np.clip(np.arange(width) + shift[..., None], 0, width - 1)
     index = np.minimum(position.astype(int), width - 2)
     weight = position - index
-    a, b = (np.take_along_axis(profiles, k, axis=2) for k in (index, index + 1))
-    return a * (1 - weight) + b * weight
+    before = np.take_along_axis(profiles, index, axis=2)
+    after = np.take_along_axis(profiles, index + 1, axis=2)
+    return before * (1 - weight) + after * weight
 
 
 def _match_template(profiles: Floats, template: Floats) -> tuple[Floats, Floats]:
     """Fit gain x template + offset, moved, to profiles.
 
-    It gives how much further each profile lies, in pixels, and its correlation.
+    It gives how much further each profile (sections, pieces, across) lies than the template
+    (pieces, across), in pixels, and its correlation; 0 where it shows too little of the template.
+    Least squares of the profile on the template t and its gradient g.
     """
     gradient = np.gradient(template, axis=1)
-    interior = slice(2, -2)
-    t, g, f = template[:, interior], gradient[:, interior], profiles[..., interior]
-    t, g, f = (v - v.mean(axis=-1, keepdims=True) for v in (t, g, f))
+    # Without the ends, where shifted profiles repeat themselves.
+    interiors = (v[..., 2:-2] for v in (template, gradient, profiles))
+    t, g, f = (v - v.mean(axis=-1, keepdims=True) for v in interiors)
     tt = (t * t).sum(axis=-1)
     tg = (t * g).sum(axis=-1)
     gg = (g * g).sum(axis=-1)
@@ -373,7 +402,8 @@ def _match_template(profiles: Floats, template: Floats) -> tuple[Floats, Floats]
     fg = (f * g).sum(axis=-1)
     ff = (f * f).sum(axis=-1)
     det = np.maximum(tt * gg - tg * tg, 1e-12)
-    gain, shift = (ft * gg - fg * tg) / det, (fg * tt - ft * tg) / det
+    gain = (ft * gg - fg * tg) / det
+    gradient_gain = (fg * tt - ft * tg) / det
     correlation = ft / np.sqrt(np.maximum(ff * tt, 1e-12))
-    has_gain = gain > 0.2
-    return np.where(has_gain, -shift / np.where(has_gain, gain, 1.0), 0.0), correlation
+    shift = np.divide(-gradient_gain, gain, out=np.zeros_like(gain), where=gain > 0.2)
+    return shift, correlation

@@ -46,7 +46,8 @@ class SheetBand:
 
     def heights(self, section: int, cols: int) -> Singles:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
-        return np.interp(np.arange(cols), self.at_col, self.row[section]).astype(np.float32)
+        rows = np.interp(np.arange(cols), self.at_col, self.row[section])
+        return rows.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,38 +105,44 @@ class SectionSeries:
 
     @cached_property
     def band(self) -> SheetBand:
-        """Course of the sheet."""
-        # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62)
-        # on the difference to the section's background; the largest connected part is the sheet.
+        """Course of the sheet.
+
+        Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on
+        the difference to the section's background; the largest connected part is the sheet.
+        """
         n, rows, cols = self.stack.shape
-        block_rows = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
-        block_cols = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
+        row_um, col_um = self.pixel_um
+        block_rows = max(1, min(round(5.0 / row_um), rows // 16))
+        block_cols = max(1, min(round(80.0 / col_um), cols // 8))
 
         def means(i: int) -> Singles:
             return block_means(self.stack[i], block_rows, block_cols)
 
         blocks = np.stack(map_threads(means, range(n)))
         # Rows at each end that are taken to be background.
-        margin = max(1, int(0.15 * blocks.shape[1]))
+        _, n_down, n_across = blocks.shape
+        margin = max(1, int(0.15 * n_down))
         ends = np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1)
         background = _row_medians(ends.reshape(n, -1))
         is_sheet, weight = _find_sheet(blocks, background)
         thickness = is_sheet.sum(axis=1)
         typical = float(np.median(thickness[thickness > 0]))
         weight_sum = weight.sum(axis=1)
-        is_sound = (thickness >= 0.5 * typical) & (thickness <= 2.0 * typical) & (weight_sum > 0)
+        is_sound = (thickness >= 0.5 * typical) & (thickness <= 2.0 * typical)
+        is_sound &= weight_sum > 0
         if not is_sound.any():
             raise VolumeError(
                 "No sheet of an even thickness found in the sections. Check the files and the pixel"
                 " size."
             )
-        moment = (weight * np.arange(blocks.shape[1])[:, None]).sum(axis=1)
-        middle = np.where(is_sound, moment / np.where(weight_sum > 0, weight_sum, 1.0), np.nan)
+        moment = (weight * np.arange(n_down)[:, None]).sum(axis=1)
+        middle = np.full(moment.shape, np.nan)
+        np.divide(moment, weight_sum, out=middle, where=is_sound)
         middle_row = (middle + 0.5) * block_rows - 0.5
         smooth_row = _smooth_surface(middle_row, self.away_um)
-        deviation = np.where(is_sound, middle_row - smooth_row, np.nan)
-        jump = np.nan_to_num(_row_medians(deviation))
-        contrast = _row_medians(np.where(is_sheet, blocks, np.nan).reshape(n, -1)) - background
+        jump = np.nan_to_num(_row_medians(middle_row - smooth_row))
+        sheet_greys = np.where(is_sheet, blocks, np.nan)
+        contrast = _row_medians(sheet_greys.reshape(n, -1)) - background
         median_contrast = float(np.nanmedian(contrast))
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a
         # factor of two.
@@ -143,16 +150,19 @@ class SectionSeries:
         is_known = np.isfinite(background)
         return SheetBand(
             row=smooth_row,
-            at_col=np.arange(blocks.shape[2]) * block_cols + 0.5 * (block_cols - 1),
+            at_col=np.arange(n_across) * block_cols + 0.5 * (block_cols - 1),
             jump=jump,
-            half_um=0.5 * typical * block_rows * self.pixel_um[0],
+            half_um=0.5 * typical * block_rows * row_um,
             background=np.where(is_known, background, np.nanmedian(background)),
             contrast=np.where(is_plausible, contrast, median_contrast),
         )
 
 
 def _find_sheet(blocks: Singles, background: Floats) -> tuple[Bools, Floats]:
-    """Blocks (sections, rows, cols) in which the sheet lies, and how far they are from resin."""
+    """Blocks (sections, rows, cols) in which the sheet lies, and how far they are from resin.
+
+    The latter in grey, 0 off the sheet. ``background`` (sections,) is the grey of the resin.
+    """
     difference = np.abs(blocks - background[:, None, None])
     difference[~np.isfinite(difference)] = 0.0
     smoothed_difference: Floats = gaussian_filter(difference, 1.0)
@@ -165,8 +175,8 @@ def _find_sheet(blocks: Singles, background: Floats) -> tuple[Bools, Floats]:
         raise VolumeError(
             "No sheet found in the sections: all grey levels are alike. Check the files."
         )
-    largest_label = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
-    is_sheet = labels == largest_label
+    sizes = np.bincount(labels.ravel())
+    is_sheet = labels == 1 + np.argmax(sizes[1:])
     return is_sheet, np.where(is_sheet, difference, 0.0)
 
 
@@ -175,17 +185,23 @@ def block_means(section: Array, rows: int, cols: int) -> Singles:
 
     NaN where a block holds a NaN, and what is left over is left out.
     """
-    n_down, n_across = section.shape[0] // rows, section.shape[1] // cols
-    interior = section[: n_down * rows, : n_across * cols].reshape(n_down, rows, n_across * cols)
-    row_sums = interior.sum(axis=1, dtype=np.float32)
-    total = row_sums.reshape(n_down, n_across, cols).sum(axis=2, dtype=np.float64)
+    n_down = section.shape[0] // rows
+    n_across = section.shape[1] // cols
+    width = n_across * cols
+    interior = section[: n_down * rows, :width].reshape(n_down, rows, width)
+    row_sums = interior.sum(axis=1, dtype=np.float32).reshape(n_down, n_across, cols)
+    total = row_sums.sum(axis=2, dtype=np.float64)
     return (total / (rows * cols)).astype(np.float32)
 
 
 def _row_medians(values: Array) -> Floats:
     """Median of the finite values of each row; NaN where there is none."""
-    finite_rows = [row[np.isfinite(row)] for row in values]
-    return np.array([np.median(row) if row.size else np.nan for row in finite_rows], np.float64)
+    medians = np.full(len(values), np.nan)
+    for k, row in enumerate(values):
+        finite = row[np.isfinite(row)]
+        if finite.size:
+            medians[k] = np.median(finite)
+    return medians
 
 
 def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
@@ -194,13 +210,15 @@ def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
     nearest_indices: Array = distance_transform_edt(
         ~is_valid, return_distances=False, return_indices=True
     )
-    filled_row = median_filter(middle_row[tuple(nearest_indices)], size=(1, 3), mode="nearest")
+    nearest_row = middle_row[tuple(nearest_indices)]
+    filled_row = median_filter(nearest_row, size=(1, 3), mode="nearest")
     # Weight of a place where the sheet was not found, against 1.
     weights = np.where(is_valid, 1.0, 1e-3)
     cutoff_um = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
     rows = zip(filled_row.T, weights.T, strict=True)
     courses = [slow_part(away_um, y, cutoff_um=cutoff_um, weights=w) for y, w in rows]
-    return gaussian_filter1d(np.stack(courses, axis=1), 1.0, axis=1, mode="nearest")
+    surface = np.stack(courses, axis=1)
+    return gaussian_filter1d(surface, 1.0, axis=1, mode="nearest")
 
 
 _MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
@@ -250,14 +268,17 @@ def normalise_sections(series: SectionSeries) -> Gains:
         inner, outer = core_and_background(series.stack[i], height, near, far, step)
         return _crowd_mean(outer), _crowd_mean(inner)
 
-    background, material = np.array(map_threads(levels, range(n)), np.float64).T
+    anchors = np.array(map_threads(levels, range(n)), np.float64)
+    background, material = anchors.T
     contrast = material - background
     typical = float(np.nanmedian(contrast)) if np.isfinite(contrast).any() else np.nan
     # A gain farther from 1 is no drift of colour but another thing in the picture.
     measured = np.abs(contrast - typical) <= 0.3 * abs(typical)
-    gain = np.where(measured, typical / np.where(measured, contrast, 1.0), 1.0)
     level = float(np.median(background[measured])) if measured.any() else 0.0
-    offset = np.where(measured, level - gain * np.where(measured, background, 0.0), 0.0)
+    gain = np.ones(n)
+    gain[measured] = typical / contrast[measured]
+    offset = np.zeros(n)
+    offset[measured] = level - gain[measured] * background[measured]
     return Gains(gain=gain, offset=offset, measured=measured)
 
 
@@ -278,7 +299,9 @@ def core_and_background(
     sheet_row = height.astype(np.float64)
     is_core = (row >= sheet_row - near_px) & (row <= sheet_row + near_px)
     is_background = (row <= sheet_row - far_px) | (row >= sheet_row + far_px)
-    core, background = section[is_core][:: strides[0]], section[is_background][:: strides[1]]
+    core_stride, background_stride = strides
+    core = section[is_core][::core_stride]
+    background = section[is_background][::background_stride]
     return _first_numbers(core), _first_numbers(background)
 
 
@@ -299,5 +322,6 @@ def _crowd_mean(greys: Singles) -> float:
     crowd_mean = float(np.median(values))
     sd = mad_sd(values)
     for _ in range(6 if sd > 0 else 0):
-        crowd_mean = float(values[np.abs(values - crowd_mean) <= 2.0 * sd].mean())
+        is_of_crowd = np.abs(values - crowd_mean) <= 2.0 * sd
+        crowd_mean = float(values[is_of_crowd].mean())
     return crowd_mean

@@ -48,10 +48,12 @@ def solve_places(
     reach = int(np.max(second - first))
     for _ in range(25):
         w = trust * weight_shares
+        # Upper band of the normal matrix: its last row is the diagonal.
         band = np.zeros((reach + 1, n))
         np.add.at(band[reach], first, w)
         np.add.at(band[reach], second, w)
-        np.add.at(band, (reach - (second - first), second), -w)
+        above_diagonal = reach - (second - first)
+        np.add.at(band, (above_diagonal, second), -w)
         # Weight of the prior "where the stage put it", against the pairs: settles what they leave
         # open.
         band[reach] += 1e-7 * float(np.median(trust))
@@ -68,11 +70,13 @@ def solve_places(
 
 def section_components(first: Ints, second: Ints, n: int) -> list[Ints]:
     """Sections that pairs tie to each other, each part in order; those too small are left out."""
-    adjacency = coo_array((np.ones(first.size), (first, second)), shape=(n, n))
+    ones = np.ones(first.size)
+    adjacency = coo_array((ones, (first, second)), shape=(n, n))
     labels: NDArray[np.int32] = connected_components(adjacency, directed=False)[1]
     sizes = np.bincount(labels, minlength=1)
     # With fewer sections, slow and quick parts cannot be separated.
-    return [np.flatnonzero(labels == k) for k in np.flatnonzero(sizes >= min(6, n))]
+    large = np.flatnonzero(sizes >= min(6, n))
+    return [np.flatnonzero(labels == k) for k in large]
 
 
 def quick_places(
@@ -84,10 +88,10 @@ def quick_places(
     """
     quick = np.zeros_like(places)
     for component in components:
+        at_um = away_um[component]
         for axis in range(places.shape[1]):
-            quick[component, axis] = quick_part(
-                away_um[component], places[component, axis], cutoff_um=cutoff_um
-            )
+            course = places[component, axis]
+            quick[component, axis] = quick_part(at_um, course, cutoff_um=cutoff_um)
     return quick
 
 
@@ -106,10 +110,14 @@ def slow_part(
     weights = np.ones(n) if weights is None else weights
     if n < _ORDER + 2:
         return values.copy()
-    pitch = float(np.median(np.diff(at_um)))
+    steps_um = np.diff(at_um)
+    pitch = float(np.median(steps_um))
     # Two sections at almost one place would make the fourth derivative between them infinite.
-    x = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(at_um) / pitch, 0.25))])  # pitches
-    stiffness = (cutoff_um / pitch / (2.0 * np.pi)) ** (2 * _ORDER) / _HALF
+    steps = np.maximum(steps_um / pitch, 0.25)
+    x = np.concatenate([[0.0], np.cumsum(steps)])  # pitches
+    cutoff_over_two_pi = cutoff_um / pitch / (2.0 * np.pi)
+    stiffness = cutoff_over_two_pi ** (2 * _ORDER) / _HALF
+    # A row for the derivative at each run of five places: their factors in it.
     rows = n - _ORDER
     coefficients = np.full((_ORDER + 1, rows), float(math.factorial(_ORDER)))
     for k, m in itertools.permutations(range(_ORDER + 1), 2):
@@ -118,11 +126,9 @@ def slow_part(
     # Upper band of the matrix: the last row is the diagonal, the d-th before it the d-th above the
     # diagonal.
     band = np.zeros((_ORDER + 1, n))
-    for k in range(_ORDER + 1):
-        for m in range(k, _ORDER + 1):
-            band[_ORDER - (m - k), m : rows + m] += (
-                stiffness * length * coefficients[k] * coefficients[m]
-            )
+    for k, m in itertools.combinations_with_replacement(range(_ORDER + 1), 2):
+        products = stiffness * length * coefficients[k] * coefficients[m]
+        band[_ORDER - (m - k), m : rows + m] += products
     # A weight that is 0 everywhere would leave the system without a solution.
     positive_weights = np.maximum(weights, 1e-9)
     band[_ORDER] += positive_weights

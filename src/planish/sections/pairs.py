@@ -43,8 +43,10 @@ def in_pixels(poses: Floats, pixel_um: Pair) -> Floats:
     """
     row_um, col_um = pixel_um
     row, col, turn = np.moveaxis(poses, -1, 0)
-    turns = turn * col_um / row_um, turn * row_um / col_um
-    return np.stack([row / row_um, col / col_um, *turns], axis=-1)
+    row_per_col = turn * col_um / row_um
+    col_per_row = turn * row_um / col_um
+    columns = (row / row_um, col / col_um, row_per_col, col_per_row)
+    return np.stack(columns, axis=-1)
 
 
 class SectionPairs(NamedTuple):
@@ -70,7 +72,8 @@ class SectionPairs(NamedTuple):
     def sound(self, axis: int) -> tuple[Ints, Ints, Floats, Floats]:
         """First and second section of the sound pairs, their offset along an axis, its sigma."""
         is_sound = self.is_sound
-        offset, sigma = self.offset[is_sound, axis], self.sigma[is_sound, axis]
+        offset = self.offset[is_sound, axis]
+        sigma = self.sigma[is_sound, axis]
         return self.first[is_sound], self.second[is_sound], offset, sigma
 
     def without(self, group: int) -> SectionPairs:
@@ -80,17 +83,16 @@ class SectionPairs(NamedTuple):
         give way with it, so that a step with fixed weights is too short.
         """
         n_parts = self.normal_sums.shape[1]
-        sums = self.normal_sums[:, np.arange(n_parts) * GROUPS // n_parts != group]
-        fewer_pairs = _solve(
-            sums, self.first, self.second, self.base_offset, self.is_same_sheet, self.is_fine
-        )
+        group_of_part = np.arange(n_parts) * GROUPS // n_parts
+        fewer_pairs = _solve(self._replace(normal_sums=self.normal_sums[:, group_of_part != group]))
         total = self.normal_sums.sum(axis=1)
-        newton = total[:, [0, 3]]
-        is_known = newton > 0
-        reached = np.where(is_known, total[:, 13:], 1.0) / np.where(is_known, newton, 1.0)
+        # What a displacement along row and col changes, with fixed weights and as it is.
+        fixed = total[:, [0, 3]]
+        reached = np.divide(total[:, 13:], fixed, out=np.ones_like(fixed), where=fixed > 0)
         step = fewer_pairs.offset - self.base_offset
         step[:, :2] /= np.clip(reached, _LEAST_REACHED, 1.0)
-        return fewer_pairs._replace(offset=self.base_offset + step)
+        offset = self.base_offset + step
+        return fewer_pairs._replace(offset=offset, normal_sums=self.normal_sums)
 
 
 class Bands(NamedTuple):
@@ -108,19 +110,25 @@ class Bands(NamedTuple):
     @property
     def step(self) -> Shape2D:
         """Pixels per sample along rows and cols: about so many um."""
+        row_um, col_um = self.pixel_um
         row_step_um, col_step_um = (1.6, 0.8) if self.is_fine else (2.5, 5.0)
-        col_step = min(round(col_step_um / self.pixel_um[1]), self.stack.shape[2] // 64)
-        return max(1, round(row_step_um / self.pixel_um[0])), max(1, col_step)
+        row_step = round(row_step_um / row_um)
+        col_step = min(round(col_step_um / col_um), self.stack.shape[2] // 64)
+        return max(1, row_step), max(1, col_step)
 
     @property
     def pitch_um(self) -> Pair:
-        """Distance of the samples."""
-        return self.step[0] * self.pixel_um[0], self.step[1] * self.pixel_um[1]
+        """Distance of the samples along rows and cols."""
+        down, across = self.step
+        row_um, col_um = self.pixel_um
+        return down * row_um, across * col_um
 
     def samples(self, section: int, pose: Floats) -> tuple[Samples, Samples]:
         """Give the smoothed band of a section, and the heights of its columns in um.
 
-        Its grey is 0 off the sheet and 1 in it.
+        Its grey is 0 off the sheet and 1 in it; (samples across the sheet, samples along it).
+        Heights are those of the sheet's middle from the section's own, one for each column of
+        samples.
 
         ``pose``, (row, col) in um and rotation in rad, is taken off.
         """
@@ -129,7 +137,8 @@ class Bands(NamedTuple):
         pitch_r, pitch_c = self.pitch_um
         pixel_r, pixel_c = self.pixel_um
         height = self.band.heights(section, cols)
-        n_rows = max(5, round(2 * (self.band.half_um + _MARGIN_UM) / pitch_r))
+        width_um = 2 * (self.band.half_um + _MARGIN_UM)
+        n_rows = max(5, round(width_um / pitch_r))
         samples = np.zeros((n_rows, cols // across), np.float32)
         first_row = -0.5 * (n_rows * down - 1)
         pose_px = in_pixels(pose, self.pixel_um)
@@ -142,10 +151,18 @@ class Bands(NamedTuple):
         smoothed = _smoothed(samples, _gaussian(blur / pitch_r), _gaussian(blur / pitch_c))
         if self.is_fine:
             # A Gaussian of four blurs, whose mean along the columns is taken off.
-            smoothed -= _smoothed(smoothed, np.ones(1, np.float32), _gaussian(4.0 * blur / pitch_c))
-        middle = (np.arange(samples.shape[1]) + 0.5) * across - 0.5
-        height_um = np.interp(middle, np.arange(cols), height) * pixel_r
-        return smoothed, (height_um - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
+            wide = _gaussian(4.0 * blur / pitch_c)
+            smoothed -= _smoothed(smoothed, np.ones(1, np.float32), wide)
+        sample_height = np.interp(self._sample_cols(), np.arange(cols), height)
+        height_um = sample_height * pixel_r - 0.5 * (rows - 1) * pixel_r
+        return smoothed, height_um.astype(np.float32)
+
+    def _sample_cols(self) -> Floats:
+        """Columns of the section in the middles of the samples."""
+        across = self.step[1]
+        n_samples = self.stack.shape[2] // across
+        numbers = np.arange(n_samples, dtype=np.float64)
+        return (numbers + 0.5) * across - 0.5
 
     def _replace_knife_marks(self, samples: Samples) -> None:
         """Replace columns in which the resin shows a knife mark by those beside.
@@ -153,46 +170,56 @@ class Bands(NamedTuple):
         A knife's nick stays where it is.
         """
         rim_rows = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
-        profile = np.concatenate([samples[:rim_rows], samples[-rim_rows:]]).mean(axis=0)
+        rims = np.concatenate([samples[:rim_rows], samples[-rim_rows:]])
+        profile = rims.mean(axis=0)
         if not np.isfinite(profile).all():
             return
-        # Window of the median against which a mark stands out by five sigma, and the mark's
-        # surroundings.
-        window, margin = (max(1, round(length_um / self.pitch_um[1])) for length_um in (75.0, 5.0))
+        # Window of the median against which a mark stands out by five sigma.
+        window = max(1, round(75.0 / self.pitch_um[1]))
         deviation = np.abs(profile - median_filter(profile, window, mode="nearest"))
-        is_marked = deviation > 5.0 * mad_sd(deviation, 0.0)
-        is_marked = np.convolve(is_marked, np.ones(2 * margin + 1), mode="same") > 0
+        is_mark = deviation > 5.0 * mad_sd(deviation, 0.0)
+        # With the mark's surroundings.
+        margin = max(1, round(5.0 / self.pitch_um[1]))
+        is_marked = np.convolve(is_mark, np.ones(2 * margin + 1), mode="same") > 0
         clean_cols = np.flatnonzero(~is_marked)
         marked_cols = np.flatnonzero(is_marked)
         if marked_cols.size == 0 or marked_cols.size > 0.3 * is_marked.size:
             return
-        right_index = np.clip(np.searchsorted(clean_cols, marked_cols), 1, clean_cols.size - 1)
-        a, b = clean_cols[right_index - 1], clean_cols[right_index]
+        after = np.searchsorted(clean_cols, marked_cols)
+        after = np.clip(after, 1, clean_cols.size - 1)
+        a, b = clean_cols[after - 1], clean_cols[after]
         weight = np.clip((marked_cols - a) / (b - a), 0.0, 1.0).astype(np.float32)
-        samples[:, marked_cols] = samples[:, a] * (1 - weight) + samples[:, b] * weight
+        filling = samples[:, a] * (1 - weight) + samples[:, b] * weight
+        samples[:, marked_cols] = filling
 
     def normal_sums(self, pose: Floats, first: Ints, second: Ints) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section.
 
-        (pairs, parts, 15).
+        (pairs, parts, 15). ``pose`` (sections, 3) is taken off the bands before.
         """
         width = self.stack.shape[2]
-        centres = (np.arange(width // self.step[1]) + 0.5) * self.step[1] - 0.5
-        x_um = ((centres - 0.5 * (width - 1)) * self.pixel_um[1]).astype(np.float32)
-        n_parts = int(np.clip(width * self.pixel_um[1] / _PART_UM, *_PARTS))
+        col_um = self.pixel_um[1]
+        x_um = (self._sample_cols() - 0.5 * (width - 1)) * col_um
+        n_parts = int(np.clip(width * col_um / _PART_UM, *_PARTS))
         # A block of sections at a time: each band is made once or twice, and few are held.
         begins = range(0, pose.shape[0], _BLOCK)
         ends = np.searchsorted(first, begins)[1:]
-        sums = partial(self._block_sums, pose, x_um=x_um, n_parts=n_parts)
-        return np.concatenate(map_threads(sums, np.split(first, ends), np.split(second, ends)))
+        blocks = (np.split(sections, ends) for sections in (first, second))
+        sums = partial(self._block_sums, pose, x_um=x_um.astype(np.float32), n_parts=n_parts)
+        return np.concatenate(map_threads(sums, *blocks))
 
     def _block_sums(
         self, pose: Floats, first: Ints, second: Ints, x_um: Samples, n_parts: int
     ) -> Floats:
-        """Sums (pairs, parts, 15) of some pairs; bands are made when they are first needed."""
+        """Sums (pairs, parts, 15) of some pairs; bands are made when they are first needed.
+
+        ``x_um`` are the places of the samples along the columns, from the section's middle.
+        """
         sums = np.zeros((first.size, n_parts, 15))
         bands: dict[int, tuple[Samples, Samples]] = {}
-        for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        pairs = zip(first.tolist(), second.tolist(), strict=True)
+        for k, (i, j) in enumerate(pairs):
+            # Pairs are ordered by the first section: those before it are not needed again.
             for passed_section in [s for s in bands if s < i]:
                 del bands[passed_section]
             for s in (i, j):
@@ -221,6 +248,7 @@ class Bands(NamedTuple):
 
 
 def _smoothed(samples: Samples, row_weights: Samples, col_weights: Samples) -> Samples:
+    """Samples (rows, cols) with odd numbers of weights along the rows' axis and the other."""
     out = np.empty_like(samples)
     padded_row = np.empty(samples.shape[1] + col_weights.size, np.float32)
     smooth(samples, row_weights, col_weights, padded_row, out)
@@ -240,35 +268,49 @@ def compare(
     normal_sums = bands.normal_sums(pose, first, second)
     # Enough of both is there, and they go up and down together.
     total = normal_sums.sum(axis=1)
-    likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
-    is_enough = (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
+    difference, squares, used, present = total[:, 9:13].T
+    likeness = 1.0 - difference / np.maximum(squares, 1e-12)
+    is_enough = (used > 0.5 * present) & (present > 0)
     is_same_sheet = (likeness > _ALIKE) & is_enough | is_fine
-    return _solve(normal_sums, first, second, pose[second] - pose[first], is_same_sheet, is_fine)
+    base_offset = pose[second] - pose[first]
+    unsolved = SectionPairs(
+        first=first,
+        second=second,
+        offset=base_offset,
+        sigma=np.full(base_offset.shape, np.inf),
+        is_same_sheet=is_same_sheet,
+        is_sound=np.zeros_like(is_same_sheet),
+        normal_sums=normal_sums,
+        base_offset=base_offset,
+        is_fine=is_fine,
+    )
+    return _solve(unsolved)
 
 
-def _solve(
-    normal_sums: Floats,
-    first: Ints,
-    second: Ints,
-    base_offset: Floats,
-    is_same_sheet: Bools,
-    is_fine: bool,
-) -> SectionPairs:
-    """Solve for the offset of each pair by least squares, in which torn parts weigh less."""
-    n_unknowns = 2 if is_fine else 3
+def _solve(pairs: SectionPairs) -> SectionPairs:
+    """Solve for the offset of each pair by least squares, in which torn parts weigh less.
+
+    Gives the pairs with their offsets, the errors of these, and whether they are sound.
+    """
+    normal_sums = pairs.normal_sums
+    n_pairs, n_parts, _ = normal_sums.shape
+    n_unknowns = 2 if pairs.is_fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:n_unknowns]
     rows, cols = np.triu_indices(3)
-    normal_matrix = np.zeros((*normal_sums.shape[:2], 3, 3))
-    normal_matrix[..., rows, cols] = normal_matrix[..., cols, rows] = normal_sums[..., :6]
-    normal_matrix = normal_matrix[..., :n_unknowns, :n_unknowns] / (scale[:, None] * scale)
-    right_side = -normal_sums[..., 6:9][..., :n_unknowns] / scale
-    part_weights = np.ones(normal_sums.shape[:2])
-    ridge = 1e-6 * np.eye(n_unknowns) * np.maximum(normal_matrix.sum(axis=1)[:, :1, :1], 1e-12)
-    solution = np.zeros((first.size, n_unknowns))
-    covariance = np.zeros((first.size, n_unknowns, n_unknowns))
+    full_matrix = np.zeros((n_pairs, n_parts, 3, 3))
+    full_matrix[..., rows, cols] = normal_sums[..., :6]
+    full_matrix[..., cols, rows] = normal_sums[..., :6]
+    normal_matrix = full_matrix[..., :n_unknowns, :n_unknowns] / np.outer(scale, scale)
+    right_side = -normal_sums[..., 6 : 6 + n_unknowns] / scale
+    part_weights = np.ones((n_pairs, n_parts))
+    # So little that it counts only where nothing else tells an unknown.
+    row_stiffness = normal_matrix.sum(axis=1)[:, :1, :1]
+    ridge = 1e-6 * np.eye(n_unknowns) * np.maximum(row_stiffness, 1e-12)
+    solution = np.zeros((n_pairs, n_unknowns))
+    covariance = np.zeros((n_pairs, n_unknowns, n_unknowns))
     for _ in range(3):
-        total_matrix = (part_weights[..., None, None] * normal_matrix).sum(axis=1) + ridge
-        inverse = np.linalg.inv(total_matrix)
+        weighted_matrix = part_weights[..., None, None] * normal_matrix
+        inverse = np.linalg.inv(weighted_matrix.sum(axis=1) + ridge)
         total_right_side = (part_weights[..., None] * right_side).sum(axis=1)
         solution = np.einsum("pij,pj->pi", inverse, total_right_side)
         # What each part would still pull: the spread of these is the error, and a part that pulls
@@ -282,22 +324,23 @@ def _solve(
         usual_pull = MAD_TO_SD * np.median(pull, axis=1, keepdims=True)
         sigmas = np.max(pull / (usual_pull + 1e-12), axis=2)
         part_weights = _OUTLIER_SIGMAS / np.maximum(sigmas, _OUTLIER_SIGMAS)
-    offset = base_offset.copy()
+    offset = pairs.base_offset.copy()
     offset[:, :n_unknowns] += solution / scale
-    n_parts = normal_sums.shape[1]
-    sigma = np.full((first.size, 3), np.inf)
+    sigma = np.full((n_pairs, 3), np.inf)
     variance = np.einsum("pii->pi", covariance)
     sigma[:, :n_unknowns] = np.sqrt(variance * n_parts / max(n_parts - 1, 1))
-    is_solved = np.isfinite(solution).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
-    is_sound = is_same_sheet & is_solved
+    is_solved = np.isfinite(solution).all(axis=1)
+    # An offset that is not known to 5 um is none.
+    is_solved &= (sigma[:, :2] < 5.0).all(axis=1)
+    is_sound = pairs.is_same_sheet & is_solved
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
-    return SectionPairs(
-        first, second, offset, sigma, is_same_sheet, is_sound, normal_sums, base_offset, is_fine
-    )
+    return pairs._replace(offset=offset, sigma=sigma, is_sound=is_sound)
 
 
 def _gaussian(sigma: float) -> Samples:
+    """Weights of a Gaussian, up to three standard deviations of so many samples."""
     far = max(1, int(np.ceil(3 * sigma)))
-    weights = np.exp(-0.5 * (np.arange(-far, far + 1) / sigma) ** 2)
+    z = np.arange(-far, far + 1) / sigma
+    weights = np.exp(-0.5 * z**2)
     return (weights / weights.sum()).astype(np.float32)

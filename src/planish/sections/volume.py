@@ -72,7 +72,9 @@ def regular_volume(
             f"{used_sections.size} of {n} sections could be aligned, two are needed. Check that"
             " they show one sheet, in order."
         )
-    missing = np.rint(np.diff(series.away_um[used_sections]) / series.pitch_um).astype(int) - 1
+    # Sections that are missing after each used one, by the distance of the next.
+    steps = np.diff(series.away_um[used_sections]) / series.pitch_um
+    missing = np.rint(steps).astype(int) - 1
     gaps = np.flatnonzero(missing > _MOST_MISSING)
     if gaps.size and not is_real:
         gaps_text = _gaps_text(series.positions_um[used_sections], missing, gaps)
@@ -121,7 +123,7 @@ def _place_planes(
 ) -> Planes:
     """Place the planes of a regular grid between the sections that are used.
 
-    Those in one of the gaps are empty.
+    Those in one of the gaps are empty. ``gaps`` are the numbers of the used sections before them.
     """
     places_um = series.away_um[used_sections]
     pitch_um = series.pitch_um
@@ -146,12 +148,13 @@ def _place_planes(
     grades = np.tile([1.0, 0.0], (n, 1))
     if gains is not None:
         grades = np.stack([gains.gain, gains.offset], axis=1)
+    is_between = (weight > 0) & (weight < 1)
     return Planes(
         stack=series.stack,
         before=used_sections[before],
         after=used_sections[after],
         weight=weight,
-        empty=(weight > 0) & (weight < 1) & np.isin(before, gaps),
+        empty=is_between & np.isin(before, gaps),
         poses=poses,
         grades=grades,
     )
@@ -184,7 +187,8 @@ class Planes(LazyArray):
         if self.empty[k]:
             out[...] = np.nan
             return
-        before, after = pair = [int(self.before[k]), int(self.after[k])]
+        before = int(self.before[k])
+        after = int(self.after[k])
         first = self.stack[before]
         second = first if before == after else self.stack[after]
         is_integer = self.dtype.kind != "f"
@@ -193,15 +197,18 @@ class Planes(LazyArray):
             limits = np.iinfo(self.dtype)
             low = float(limits.min)
             high = float(limits.max)
-        poses, grades = self.poses[pair], self.grades[pair]
-        interpolate(first, second, float(self.weight[k]), poses, grades, low, high, is_integer, out)
+        corrections = (self.poses[[before, after]], self.grades[[before, after]])
+        weight = float(self.weight[k])
+        interpolate(first, second, weight, *corrections, low, high, is_integer, out)
 
     def read(self, where: Where) -> Array:
         """Compute a part."""
+        planes, *window = where
         plane = np.empty(self.shape[1:], self.dtype)
-        plane_numbers = range(where[0].start, where[0].stop, where[0].step)
-        block = np.empty((len(plane_numbers), *plane[where[1:]].shape), self.dtype)
+        plane_numbers = range(planes.start, planes.stop, planes.step)
+        part = plane[tuple(window)]
+        block = np.empty((len(plane_numbers), *part.shape), self.dtype)
         for i, k in enumerate(plane_numbers):
             self.fill(k, plane)
-            block[i] = plane[where[1:]]
+            block[i] = part
         return block
