@@ -91,9 +91,9 @@ def _add_axes(
     figure: Figure, figure_height: float, x: float, y: float, width: float, height: float
 ) -> Axes:
     """Add axes at a place from the left and the top of the figure; all lengths in inches."""
-    left = x / _WIDTH
-    bottom = 1 - (y + height) / figure_height
-    return figure.add_axes((left, bottom, width / _WIDTH, height / figure_height))
+    from_left = x / _WIDTH
+    from_bottom = 1 - (y + height) / figure_height
+    return figure.add_axes((from_left, from_bottom, width / _WIDTH, height / figure_height))
 
 
 def _middle_slices(

@@ -118,9 +118,9 @@ class Page:
         width_um, height_um = size_um
         width_mm = scale * width_um / 1000
         height_mm = scale * height_um / 1000
-        left = x_mm / self.width
-        bottom = 1 - (y_mm + height_mm) / self.height
-        box = (left, bottom, width_mm / self.width, height_mm / self.height)
+        from_left = x_mm / self.width
+        from_bottom = 1 - (y_mm + height_mm) / self.height
+        box = (from_left, from_bottom, width_mm / self.width, height_mm / self.height)
         axes = self.figure.add_axes(box)
         axes.set(xlim=(x_um, x_um + width_um), ylim=(y_um, y_um + height_um))
         axes.set_axis_off()

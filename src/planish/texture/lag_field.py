@@ -146,9 +146,9 @@ def lag_field(
         if share < 0.5:
             continue
         # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
-        top = max(row - wide_rows, 0)
-        left = max(col - wide_cols, 0)
-        around = np.s_[top : row + rows + wide_rows, left : col + cols + wide_cols]
+        first_row = max(row - wide_rows, 0)
+        first_col = max(col - wide_cols, 0)
+        around = np.s_[first_row : row + rows + wide_rows, first_col : col + cols + wide_cols]
         is_in_tile = np.zeros_like(is_valid)
         is_in_tile[tile] = is_valid[tile]
         a_valid, b_valid = is_in_tile[around], is_valid[around]
