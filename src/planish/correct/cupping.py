@@ -286,7 +286,9 @@ def _sum_below(running_sum: Floats, grey: Floats) -> Floats:
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
     """Join the fits of base and coating to the one that is corrected.
 
-    False where they contradict each other.
+    ``fits`` are one or two. The surer counts alone where the error of the other is three times as
+    large; their weighted mean is taken where they differ by no more than their errors; else the
+    lesser, and False where one is a loss and the other a gain: they contradict each other.
     """
     surest_fit, *other_fits = sorted(fits, key=lambda fit: fit.se)
     # A material whose error is three times that of the other does not count.

@@ -115,7 +115,11 @@ def _middle_slices(
 
 
 def _draw_profiles(axes: Axes, corrected: Corrected, air: float, contrast: float) -> None:
-    """Draw the mean grey of each material against the radius, before and after, and the rings."""
+    """Draw the mean grey of each material against the radius, before and after, and the rings.
+
+    ``air`` is the grey of the air, ``contrast`` that of the sheet above it. The sums hold greys
+    less the mean of a material and depth; the level of the material is put back.
+    """
     record = corrected.record
     turning = corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um

@@ -61,7 +61,11 @@ class RingFit(NamedTuple):
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     """Find the rings that stand out from noise and structure; there may be none.
 
-    ``contrast`` is the grey between air and sheet.
+    ``contrast`` is the grey between air and sheet. Profiles are means over all parts of circles
+    (block along the axis, sector of the turn, material), over the radius in bins of half a voxel.
+    What stands out is looked for four times, each time against a running median without the rings
+    found before; then each ring is dropped that a material does not show, and scaled for each
+    block.
     """
     bins = sums.count.shape[-1]
     # A ring lifts the running median, so that faint ones of the other sign lie beside it: high ones
@@ -233,7 +237,8 @@ def _weighted_median(values: Floats, weight: Floats) -> Floats:
 def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
     """Bins of every ring that has ``share`` of the height of the highest.
 
-    ``profile`` and ``error`` (bin,) as shares of the contrast, NaN where they are not known.
+    ``profile`` and ``error`` (bin,) as shares of the contrast, NaN where they are not known. A ring
+    stands out by five errors in its crest, and its neighbours show it too.
     """
     height = np.nan_to_num(profile)
     size = np.abs(height)

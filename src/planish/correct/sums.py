@@ -59,7 +59,8 @@ def missing(plane: Array, padding: float) -> Bools:
 def find_levels(slices: list[Array], radius: Floats) -> Levels | None:
     """Find the greys in some slices (rows, cols); None where no sheet stands out from the air.
 
-    ``radius`` (rows, cols) is the distance from the axis of rotation, in any unit.
+    ``radius`` (rows, cols) is the distance from the axis of rotation, in any unit. The air counts
+    as cut off where 5 to 80 % of its voxels have the lowest grey there is.
     """
     finite_slices = [s for s in slices if np.isfinite(s).any()]
     lowest = min((float(np.nanmin(s)) for s in finite_slices), default=np.nan)
@@ -111,7 +112,8 @@ def _without_specks(mask: Bools) -> Bools:
 def _estimate_levels(greys: Singles) -> Levels | None:
     """Read the levels off the histogram of smoothed greys.
 
-    None where no sheet stands out from the air.
+    None where no sheet stands out from the air. Otsu's thresholds part three classes: air, base and
+    what is brighter. Where the third is no material of its own, its border is infinite.
     """
     if greys.size < 1000:
         return None
@@ -216,7 +218,11 @@ class Turning(NamedTuple):
 
 
 def make_turning(volume: xr.DataArray, axis: Axis, centre_um: Pair | None) -> Turning:
-    """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
+    """Place the axis of rotation; in the middle of the field where ``centre_um`` is None.
+
+    ``centre_um`` is its place along the two other axes, in array order, from the first voxel. A
+    volume too small, or an axis farther outside than half of the field, is refused.
+    """
     if "voxel_um" not in volume.attrs:
         raise SizeError(
             "The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for"
@@ -319,7 +325,11 @@ def slices_of(
 
 
 def take_sums(slices: Iterator[NumberedSlice], turning: Turning, levels: Levels) -> Sums:
-    """Add up all slices, whose numbers are those along the axis of rotation."""
+    """Add up all slices, whose numbers are those along the axis of rotation.
+
+    Each slice is sorted by material and depth below the face, and added to the parts of circles
+    (for rings) and to the histogram by radius, depth and grey (for cupping) of its block.
+    """
     length, rows, cols = turning.shape
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
     offsets_um = turning.offsets_um(np.arange(rows), np.arange(cols))

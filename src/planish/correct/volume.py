@@ -227,7 +227,11 @@ def _corrected(
 def _find_change(
     sums_before: Sums, turning: Turning, levels: Levels, record: CorrectionRecord
 ) -> tuple[Change, CorrectionRecord]:
-    """Find rings and cupping, and take into the record what was asked for."""
+    """Find rings and cupping, and take into the record what was asked for.
+
+    Both are always found: the trend of the sheet is measured without the rings. What was not asked
+    for is not part of the change.
+    """
     sentences: list[str] = []
     ring_fit = find_rings(sums_before, turning, levels.contrast)
     cupping, trends, cupping_text = find_cupping(sums_before, turning, levels, ring_fit.mean)

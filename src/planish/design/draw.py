@@ -137,7 +137,7 @@ class Page:
     ) -> None:
         """Write names with their values, and notes, under a title.
 
-        The next part of the column stands below.
+        The next part of the column stands below: ``bottom`` moves down, in mm.
         """
         self.text(ASIDE, self.bottom, title, fontweight="bold", fontsize=9)
         self.bottom += 6
@@ -182,7 +182,7 @@ def encode(pages: Sequence[Page], kind: str, title: str = "", *, dpi: float = 15
 def drawing_page(pattern: Pattern) -> Page:
     """Draw a pattern as the laser sees it, y up.
 
-    Magnified with its pitches and numbers, and in its true size.
+    Magnified with its pitches and numbers, and in its true size where that fits beside it.
     """
     subtitle = (
         f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser"
@@ -239,7 +239,10 @@ def drawing_page(pattern: Pattern) -> Page:
 def error_page(
     pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Rules
 ) -> Page:
-    """Draw the predicted error over the field, with its numbers and the rules."""
+    """Draw the predicted error over the field, with its numbers and the rules.
+
+    Marked are the middle of the field and its worst corner.
+    """
     subtitle = (
         "rms distance between a point of one map and the same point of the other, by the marks"
         " alone; similarity"
@@ -292,7 +295,10 @@ def error_page(
 
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
-    """Draw the predicted error over the field, with contours and a colour bar."""
+    """Draw the predicted error over the field, with contours and a colour bar.
+
+    The error is computed at some 200 places along the longer side.
+    """
     axes = page.plan
     field_low = pattern.field_low_um
     width_um, height_um = pattern.field_um
@@ -320,7 +326,10 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
 
 
 def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
-    """Draw the path of a stage program, from its dry run."""
+    """Draw the path of a stage program, from its dry run.
+
+    Arrows stand on the longer stretches, numbers beside the shots in their order.
+    """
     shots_um, path_um = run.fired_um, run.path_um
     size = np.maximum(np.ptp(path_um, axis=0), 1000.0)
     border = 0.03 * float(size.max())

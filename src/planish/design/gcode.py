@@ -361,7 +361,11 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
 
 
 def _words_of(text: str) -> tuple[list[str], dict[str, float]]:
-    """Commands of a line and its other words; MarkError where they are not in the dialect."""
+    """Commands of a line and its other words; MarkError where they are not in the dialect.
+
+    Commands as ``G1`` or ``M64`` in their order; the other words by their letter, such as ``X``, in
+    the program's own unit. The number of a line (N) is passed over.
+    """
     foreign_text = _WORD.sub("", text)
     if foreign_text:
         raise MarkError(f"{foreign_text[:20]!r} is not in the dialect ({_KNOWN})")
@@ -402,7 +406,10 @@ class _Machine:
     switched_s: list[float] = field(default_factory=list[float])  # on, off, on ...
 
     def run_line(self, text: str) -> None:
-        """Carry out one line."""
+        """Carry out one line, without its comments and in capitals.
+
+        MarkError, whose text continues "is refused:", where it means nothing or is not allowed now.
+        """
         if self.executed & {"M2", "M30"}:
             raise MarkError("the program goes on after its end; remove what follows M2")
         commands, arguments = _words_of(text)
@@ -438,6 +445,7 @@ class _Machine:
             raise MarkError("the program ends with the laser on; switch it off before")
 
     def _wait(self, seconds: float) -> None:
+        """Let time pass, with the laser as it is; a pulse that becomes too long is refused."""
         if seconds < 0:
             raise MarkError("G4 needs a time P in seconds")
         self.clock_s += seconds
@@ -449,6 +457,10 @@ class _Machine:
             )
 
     def _switch_on(self, command: str) -> None:
+        """Begin a shot where the stage stands.
+
+        The laser must be off, the place known and no hole yet.
+        """
         if not self.corners_um:
             raise MarkError("the laser fires before both X and Y are known")
         if self.on_command:
@@ -463,6 +475,7 @@ class _Machine:
         self.shots_um.append((x, y))
 
     def _switch_off(self, command: str) -> None:
+        """End a shot, by the command that belongs to the one that began it."""
         if _OFF[self.on_command] != command:
             raise MarkError(f"{command} does not switch off what {self.on_command} switched on")
         if self.laser_on_s <= 0:
@@ -495,6 +508,7 @@ class _Machine:
             self._go((self.position_um["X"], self.position_um["Y"]))
 
     def _go(self, target: Pair) -> None:
+        """Go to a place in um, at the speed of the program; the first one costs no time."""
         if self.corners_um:
             if self.speed_mm_min is None:
                 raise MarkError("a move before a speed F")

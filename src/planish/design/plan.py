@@ -220,7 +220,8 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
     """Draw patterns until some keep all rules.
 
     Gives the one with the weakest rival, that is, the wrong arrangement that meets fewest holes; or
-    the reason why there is none. ``blank`` has no holes yet.
+    the reason why there is none: what was wrong with the draw that broke fewest rules. ``blank``
+    has no holes yet.
     """
     area = area_rule(blank, hole_count)
     if not area.passed:
@@ -281,7 +282,11 @@ def _rank(rules: Rules) -> Pair:
 
 
 def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Pattern | None:
-    """Draw a pattern, side by side; None where the holes of a side do not fit."""
+    """Draw a pattern, side by side; None where the holes of a side do not fit.
+
+    Each side gets holes by its length. In a line layout the pitch grows along each side, by a rate
+    of its own; in a coded one no two distances are alike.
+    """
     width_steps, height_steps = (round(side_um / STEP_UM) for side_um in blank.frame_um)
     side_steps = (width_steps, height_steps, width_steps, height_steps)
     n_inner_holes = hole_count - 3  # Three corners hold holes too.

@@ -266,7 +266,11 @@ def check_pattern(pattern: Pattern) -> Rules:
 
 
 def simple_rules(pattern: Pattern) -> Rules:
-    """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
+    """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop.
+
+    Marker: one corner of the frame is farther from its nearest hole than the other three, so that
+    it shows how the sheet is turned.
+    """
     points, diameter = pattern.points_um, pattern.diameter_um
     field = np.array(pattern.field_um)
     from_middle_um = np.abs(points - pattern.field_low_um - field / 2)
@@ -311,7 +315,11 @@ def code_rules(pattern: Pattern) -> Rules:
 
 
 def matching_rules(pattern: Pattern) -> Rules:
-    """Apply the rules against taking the pattern for itself in another position."""
+    """Apply the rules against taking the pattern for itself in another position.
+
+    A rival is a motion that lays many holes on others: a half or quarter turn, a mirror, or any
+    other. The last rule asks for the same of what each crop leaves.
+    """
     points = pattern.points_um
     crop_masks = crops(pattern)
     motions = self_motions(points)

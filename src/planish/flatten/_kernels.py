@@ -69,7 +69,11 @@ def _pull(k, dx, dy, du, dv):
 
 @njit(**_INNER)
 def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
-    """Set t to k d.(du) / |d|^2 for the springs within row i and between the rows i and i + 1."""
+    """Set t to k d.(du) / |d|^2 for the springs within row i and between the rows i and i + 1.
+
+    ``ua, va`` and ``ub, vb`` are a correction of both rows, d a spring's vector at the places ``x,
+    y`` and du how the correction changes it; ``t0`` to ``t3`` belong to the four families.
+    """
     xa, ya = x[i], y[i]
     xb, yb = x[i + 1], y[i + 1]
     k0, k1, k2, k3 = _of_springs(stiff, i)
@@ -87,7 +91,9 @@ def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
 def _collect(x, i, t0, t1, t2, t3, p1, p2, p3, out, n):
     """Sum of t times the difference of one coordinate to the eight neighbours, for row i.
 
-    P are the t of the pair above.
+    ``x`` is that coordinate of all nodes; ``t0`` to ``t3`` are of the springs that row i holds,
+    ``p1`` to ``p3`` of those that the row above holds. Sets ``out`` (n + 2,), one component of
+    minus the stiffness times the correction.
     """
     above = x[i - 1]
     here = x[i]
@@ -133,7 +139,9 @@ def _tension(dx, dy, rest, k):
 def forces(xy, rest, stiff, force, sums, n, r0, r1):
     """Set ``force`` to minus half the gradient of the spring energy.
 
-    ``sums`` (rows + 2, 2) is set to the energy by rows.
+    ``sums`` (rows + 2, 2) is set to the energy by rows. ``n`` are the columns of the grid, ``r0``
+    to ``r1`` the rows of the padded arrays to work on. Each spring is computed once, by the row
+    that holds it; what it does to the row below is passed on.
     """
     x, y = xy[0], xy[1]
     width = xy.shape[2]
@@ -184,7 +192,11 @@ def _add(t, dx, dy, axx, axy, ayy):
 
 @njit(**_SETTINGS)
 def prepare(near, stiff, ease, n, r0, r1):
-    """Set ``ease`` for the places ``near``; a node that no spring holds gets 0."""
+    """Set ``ease`` for the places ``near``; a node that no spring holds gets 0.
+
+    It is one over the larger eigenvalue of the sum of k d d' / |d|^2 over the eight springs of a
+    node.
+    """
     x, y = near[0], near[1]
     b = np.zeros((8, near.shape[2]), dtype=np.float32)
     t0, t1, t2, t3 = b[0], b[1], b[2], b[3]
@@ -228,7 +240,9 @@ def prepare(near, stiff, ease, n, r0, r1):
 def _fresh(kind, coarse, u, v, force, ease, first, buffer, i, n):
     """Make row i, held in u and v, ready to be smoothed.
 
-    It starts from nothing, with the coarse correction, or as it is.
+    By ``kind`` it starts from nothing with ``first`` times ease times force (0), takes on the
+    correction of the ``coarse`` level, half-way between its nodes by their mean (1), or stays as it
+    is (2). ``buffer`` is scratch for a row.
     """
     if kind == 0:
         f, g, d = force[0, i], force[1, i], ease[i]
@@ -297,7 +311,9 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
 def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
     """Set ``coarse_force`` to what ``move`` leaves unbalanced.
 
-    This is done by the transpose of bilinear interpolation.
+    This is done by the transpose of bilinear interpolation: a coarse node gets the rest of its own
+    fine node, half of that of the four beside it and a quarter of that of the four diagonal ones.
+    ``n`` and ``coarse_n`` are the columns of both grids, ``r0`` to ``r1`` rows of the coarse one.
     """
     x, y = near[0], near[1]
     width = near.shape[2]
@@ -351,7 +367,8 @@ def _narrow(total, coarse, coarse_n):
 def advance(xy, near, move, force, sums, n, r0, r1):
     """Move the nodes by ``move``.
 
-    ``sums`` (rows + 2, 2) by rows: force times move, and move squared.
+    Both ``xy`` and its copy ``near`` in single precision. ``sums`` (rows + 2, 2) by rows: force
+    times move, and move squared.
     """
     for i in range(r0, r1):
         work = square = 0.0

@@ -65,7 +65,8 @@ def _chords(a, b, aj, bj, out, n):
 def _bend(a, b, c, out, n):
     """Normal second differences (curvature x step²) at row b, 4 directions, to ``out`` (4, n + 2).
 
-    NaN beside gaps.
+    ``a``, ``b`` and ``c`` (3, n + 2) are the rows of points above, at and below. Directions as of
+    the families of springs: along the row, down the column, falling and rising. NaN beside gaps.
     """
     ax, ay, az = a[0], a[1], a[2]
     bx, by, bz = b[0], b[1], b[2]
@@ -144,7 +145,8 @@ def _mend(above, here, below, spare, n):  # noqa: C901
 def _arcs(p, q, pj, qj, out, n):
     """Lengthen the chords ``out`` to arcs by the bends p[j + pj], q[j + qj] at their ends.
 
-    Count those left alone.
+    A chord L gets a b / (24 L) more, a and b being the bends at its ends; one that is missing is
+    that of the other end. Counts those left alone because a and b disagree.
     """
     left = 0.0
     for j in range(1, n + 1):
@@ -260,7 +262,8 @@ def coarsen(rest, stiff, coarse_rest, coarse_stiff, n, coarse_n, r0, r1):  # noq
 def _between(a, b, c, d):
     """Interpolate the value half-way from b to c.
 
-    Cubic where a and d are known, quadratic with one of them, else linear.
+    a and d are the values before and after them, GONE or more where there is none. Cubic where a
+    and d are known, quadratic with one of them, else linear.
     """
     if b >= GONE:
         return c
@@ -277,7 +280,11 @@ def _between(a, b, c, d):
 
 @njit(**_INNER)
 def _line(coarse, i, line, coarse_n):
-    """Set ``line`` to the coarse places along the fine row i."""
+    """Set ``line`` to the coarse places along the fine row i.
+
+    ``coarse`` (rows + 2, width) is one coordinate; odd fine rows lie on a coarse one, even ones
+    half-way between two.
+    """
     last = coarse.shape[0] - 2
     up = (i - 1) // 2 + 1
     if i % 2 == 1:
@@ -297,6 +304,7 @@ def _line(coarse, i, line, coarse_n):
 def interpolate(coarse, xy, near, n, coarse_n, r0, r1):
     """Fine places from every second node, cubic along rows and columns.
 
+    ``coarse`` (2, ...) are the places of the coarse mesh; ``xy`` and its copy ``near`` are set.
     Where the fine mesh has gaps, FAR ones are the caller's.
     """
     for c in range(2):

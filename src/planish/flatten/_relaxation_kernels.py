@@ -45,7 +45,8 @@ def _pull(ax, ay, bx, by, rest, stiff, tx, ty, energy):
 def set_force(x, rest, stiff, f):
     """Set f to the springs' forces at x.
 
-    Return the energy, sum of k (l - L)^2 (Eq. 1), and the largest force.
+    Return the energy, sum of k (l - L)^2 (Eq. 1), and the largest force. Each row computes the
+    springs that it holds; those to the next row are kept for it in ``pulls``.
     """
     rows, cols = x.shape[1], x.shape[2]
     pulls = np.zeros((2, 4, 2, cols))
@@ -81,7 +82,9 @@ def set_force(x, rest, stiff, f):
 def mix(v, keep, f, push, side, out):
     """Set out to keep v + push f.
 
-    Return the largest Frobenius norm of its gradient, its largest length, their sum.
+    These are velocities after a step: ``keep`` is what damping leaves of them, ``push`` the time in
+    which the force acts. Return the largest Frobenius norm of the gradient, the largest length, and
+    the sum of the lengths.
     """
     rows, cols = v.shape[1], v.shape[2]
     steep = np.zeros(cols)
@@ -105,7 +108,10 @@ def mix(v, keep, f, push, side, out):
 
 @njit(cache=True, nogil=True)
 def _steepen(v, side, i, steep):
-    """Raise steep to the squared norm of the gradient of v in row i."""
+    """Raise steep to the squared norm of the gradient of v in row i.
+
+    The gradient is a (2, 2) matrix: of both components of v, along x (across) and y (down).
+    """
     ax, x, bx = v[0, i - 1], v[0, i], v[0, i + 1]
     ay, y, by = v[1, i - 1], v[1, i], v[1, i + 1]
     right, left = side[0, i], side[1, i]

@@ -90,7 +90,11 @@ class Network(NamedTuple):
         return (stiffness + _TIE * sparse.eye_array(size)).tocsc()
 
     def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
-        """As ``matrix``, of a small network and without ties."""
+        """As ``matrix``, of a small network and without ties, (2 nodes, 2 nodes).
+
+        It is the product of a matrix with its transpose: a row for each spring says how the
+        spring's length changes with the places of the nodes.
+        """
         d, transverse_share = self._directions(uv, exact)
         n_springs = len(self.rest)
         incidence = np.zeros((n_springs, len(uv)))
@@ -132,7 +136,10 @@ class StiffnessSolver:
     """
 
     def __init__(self, network: Network, uv: Floats, *, exact: bool = False) -> None:
-        """Factorise the stiffness of ``network`` at ``uv`` (nodes, 2), or set up a full matrix."""
+        """Factorise the stiffness of ``network`` at ``uv`` (nodes, 2), or set up a full matrix.
+
+        ``exact`` adds what springs under tension resist across their own direction.
+        """
         # Shifts, and the turn about the middle, at right angles to them.
         rigid = np.zeros((len(uv), 2, 3))
         u, v = (uv - uv.mean(axis=0)).T

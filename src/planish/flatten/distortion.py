@@ -411,7 +411,11 @@ def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
 
 
 def _block_strain(points: Floats, uv: Floats) -> xr.Dataset:
-    """Strain maps (rows - 1, cols - 1) of some rows of nodes, as of :func:`cell_strain`."""
+    """Strain maps (rows - 1, cols - 1) of some rows of nodes, as of :func:`cell_strain`.
+
+    ``points`` (rows, cols, 3) and ``uv`` (rows, cols, 2). A cell in space is its two mean edges,
+    given by their products g11, g12, g22; in the plane they are (au, av) and (du, dv).
+    """
     across, down = _cell_edges(points)
     flat_across, flat_down = _cell_edges(uv)
     au, av = np.moveaxis(flat_across, -1, 0)

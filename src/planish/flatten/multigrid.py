@@ -184,7 +184,10 @@ class Multigrid:
     def relax(self, k: int, tolerance: float) -> Outcome:
         """Step on level ``k`` until the excess of energy over the minimum is small enough.
 
-        It is then below ``tolerance`` times the energy.
+        It is then below ``tolerance`` times the energy. Each step is one cycle. A step is slow
+        where it gains more than a quarter of what the one before gained; from the first such step
+        on, moves are made conjugate. A run that would fold is left, to be done again with guarded
+        steps.
         """
         level = self.levels[k]
         gains: list[float] = []
@@ -285,7 +288,8 @@ class Multigrid:
     def _guard(self, level: Level, energy: float) -> float:
         """Shorten the move where it would close a cell, and as a whole until the energy falls.
 
-        Give the gain wanted.
+        Gives the gain that was wanted. ``energy`` is that before the move. What still closes a cell
+        after all halvings does not move.
         """
         wanted_gain = _dot(level.force, level.move)
         move_share = np.ones(level.move.shape[1:], np.float32)

@@ -310,7 +310,11 @@ def _handedness(points: Floats) -> float:
 
 
 def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps: bool) -> Run:
-    """Relax by multigrid, and once more with steps that may close no cell where cells folded."""
+    """Relax by multigrid, and once more with steps that may close no cell where cells folded.
+
+    ``side`` is the handedness of the grid, ``gaps`` whether springs are missing. Gives the steps on
+    the finest mesh, how the last run ended, and all steps of both runs.
+    """
     history: list[Step] = []
     outcome = Outcome.NOT_FINITE
     for guarded in (False, True):

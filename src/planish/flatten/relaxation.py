@@ -284,7 +284,8 @@ def _runge_kutta(
 ) -> tuple[Floats, Floats]:
     """Places and velocities after ``dt`` by the classical method of fourth order.
 
-    ``f``, the force, is overwritten.
+    ``x``, ``v`` and ``f`` (2, rows + 2, cols + 2) are places, velocities and the force, which is
+    overwritten; ``c`` is the damping.
     """
     stage_x, stage_v, new_x, new_v = x, v, x, v
     weights = (dt / 6, dt / 3, dt / 3, dt / 6)

@@ -197,6 +197,7 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised.
 
     Without ``mesh_um`` it is four columns wide, or as many as keep the mesh to four million nodes.
+    Pieces of the surface beside the largest one are left out, both of the columns and of the mesh.
     """
     y, x, centre = (surfaces[name].values for name in ("y", "x", "centre"))
     is_sheet = _largest_piece(np.isfinite(centre))

@@ -44,7 +44,11 @@ def _on_target(uv, i, j, first, pitch):
 
 @njit(cache=True, nogil=True)
 def _weights(area, nb, nc):
-    """Weights of a triangle's second and third corner, from these times the area; -1 outside."""
+    """Weights of a triangle's second and third corner, from these times the area; -1 outside.
+
+    The area is twice that of the triangle, negative where it is turned over. A place on its border,
+    to 1e-9 of it, lies inside.
+    """
     if area < 0.0:
         area, nb, nc = -area, -nb, -nc
     slack = _EDGE * area
@@ -154,7 +158,11 @@ def _corners(number, corners, cols):
 
 @njit(cache=True, nogil=True)
 def _value(field, a, b, c, wb, wc):
-    """Linear value in a triangle of nodes; NaN where a corner with weight is."""
+    """Linear value in a triangle of nodes; NaN where a corner with weight is.
+
+    ``a``, ``b`` and ``c`` are the numbers of its corners in ``field``, ``wb`` and ``wc`` the
+    weights of the last two.
+    """
     fa, fb, fc = field[a], field[b], field[c]
     value = fa + (wb * (fb - fa) + wc * (fc - fa))
     if value == value:

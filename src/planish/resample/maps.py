@@ -237,7 +237,8 @@ def _between(values: Floats, nodes_um: Floats, pixels_um: Floats) -> Floats:
 def _variable_names(surfaces: xr.Dataset) -> Names:
     """Names of the maps, of their standard errors, and of the layers' own.
 
-    Errors of which none is known are left out.
+    Maps are properties, and what has a ``support_um``; layers are what holes are found in. Errors
+    of which none is known are left out. Surfaces without a map are refused.
     """
     properties: list[str] = []
     supported: list[str] = []

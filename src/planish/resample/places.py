@@ -186,7 +186,11 @@ class Mesh:
         return cls(uv=uv, least_um=least_um, _low=quads_low, _high=quads_high)
 
     def under(self, grid: Grid) -> tuple[Window, Places]:
-        """Return the nodes under the pixels of a grid, and where each pixel lies among them."""
+        """Return the nodes under the pixels of a grid, and where each pixel lies among them.
+
+        The nodes are a window of rows and columns of the mesh, whole segments wide; a single node
+        where the mesh does not meet the grid.
+        """
         row_um, col_um = grid.pixel_um
         # First and last (u, v) of the grid's pixels, and one more.
         first = np.array([grid.x_um[0] - col_um, grid.y_um[0] - row_um])

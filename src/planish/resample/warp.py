@@ -194,7 +194,8 @@ def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:
 def _part(image: Array, positions: Floats, margin: int) -> tuple[Array, Floats]:
     """Part of an image under places (rows, cols, 2) and ``margin`` pixels around, NaN beside it.
 
-    And its first pixel (x, y).
+    And its first pixel (x, y), which may lie outside of the image. Places are (x, y) in pixels of
+    it.
     """
     least = np.floor(positions.min(axis=(0, 1)))
     largest = np.floor(positions.max(axis=(0, 1)))

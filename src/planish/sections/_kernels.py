@@ -58,7 +58,9 @@ def straighten(section, height, first, rows, cols, pose, out):
 def smooth(values, down, across, line, out):
     """Weight every value with its neighbours.
 
-    ``down`` acts along the rows' axis, ``across`` along the other; both are clamped.
+    ``values`` and ``out`` (rows, cols). ``down`` acts along the rows' axis, ``across`` along the
+    other, both an odd number of weights; both are clamped at the borders. ``line`` is scratch for a
+    row with its margins.
     """
     rows, cols = values.shape
     far, wide = down.size // 2, across.size // 2
@@ -182,7 +184,8 @@ def _clamped(value, last):
 def _line(section, r, pose, grade, line):
     """Set line to row r of a corrected section.
 
-    It is found where the pose says, and its grey is made gain x value + offset.
+    It is found where the pose says, and its grey is made gain x value + offset, ``grade`` being
+    both. Bilinear between pixels; places outside take the border.
     """
     high, wide = section.shape
     middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
@@ -241,7 +244,8 @@ def _line(section, r, pose, grade, line):
 def interpolate(first, second, share, poses, grades, low, high, is_integer, out):
     """Set out to (1 - share) first + share second, both corrected.
 
-    Integers are rounded and kept in low..high.
+    ``poses`` (2, 4) and ``grades`` (2, 2) are of both sections. Integers are rounded and kept in
+    low..high.
     """
     cols = out.shape[1]
     first_line = np.empty(cols, np.float32)

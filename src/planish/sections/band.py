@@ -108,7 +108,8 @@ class SectionSeries:
         """Course of the sheet.
 
         Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on
-        the difference to the section's background; the largest connected part is the sheet.
+        the difference to the section's background; the largest connected part is the sheet. A
+        column of blocks counts where the sheet's thickness is within a factor of two of the median.
         """
         n, rows, cols = self.stack.shape
         row_um, col_um = self.pixel_um
@@ -205,7 +206,11 @@ def _row_medians(values: Array) -> Floats:
 
 
 def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
-    """Smooth the sheet's middle (sections, blocks) along both axes and fill it where it is NaN."""
+    """Smooth the sheet's middle (sections, blocks) along both axes and fill it where it is NaN.
+
+    In pixels along the rows. Along the cut waves shorter than 30 sections are taken off, along the
+    columns a Gaussian of one block is laid over.
+    """
     is_valid = np.isfinite(middle_row)
     nearest_indices: Array = distance_transform_edt(
         ~is_valid, return_distances=False, return_indices=True

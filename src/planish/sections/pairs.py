@@ -167,7 +167,8 @@ class Bands(NamedTuple):
     def _replace_knife_marks(self, samples: Samples) -> None:
         """Replace columns in which the resin shows a knife mark by those beside.
 
-        A knife's nick stays where it is.
+        A knife's nick stays where it is, and would hold the offset with it. ``samples`` (across the
+        sheet, along it) are changed. Where more than 30 % of the columns are marked, nothing is.
         """
         rim_rows = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
         rims = np.concatenate([samples[:rim_rows], samples[-rim_rows:]])
@@ -213,7 +214,8 @@ class Bands(NamedTuple):
     ) -> Floats:
         """Sums (pairs, parts, 15) of some pairs; bands are made when they are first needed.
 
-        ``x_um`` are the places of the samples along the columns, from the section's middle.
+        ``pose`` (sections, 3) is taken off; pairs are ordered by the first section. ``x_um`` are
+        the places of the samples along the columns, from the section's middle.
         """
         sums = np.zeros((first.size, n_parts, 15))
         bands: dict[int, tuple[Samples, Samples]] = {}
@@ -260,7 +262,8 @@ def compare(
 ) -> SectionPairs:
     """Give the offsets of pairs of sections, ordered by the first.
 
-    They are found in bands that are straightened by the poses of the sections.
+    They are found in bands that are straightened by the poses of the sections, ``pose`` (sections,
+    3), and are added to the difference of both.
 
     Fine bands show neither a rotation nor whether both are of one sheet.
     """
@@ -290,7 +293,9 @@ def compare(
 def _solve(pairs: SectionPairs) -> SectionPairs:
     """Solve for the offset of each pair by least squares, in which torn parts weigh less.
 
-    Gives the pairs with their offsets, the errors of these, and whether they are sound.
+    Gives the pairs with their offsets, the errors of these, and whether they are sound. Each part
+    of the columns has normal equations of its own: their sum gives the offset, and how far the
+    parts pull away from it, its error.
     """
     normal_sums = pairs.normal_sums
     n_pairs, n_parts, _ = normal_sums.shape

@@ -183,7 +183,10 @@ class Planes(LazyArray):
         self.dtype = self.stack.dtype
 
     def fill(self, k: int, out: Array) -> None:
-        """Compute plane ``k`` into ``out`` (rows, cols)."""
+        """Compute plane ``k`` into ``out`` (rows, cols).
+
+        NaN in a gap, which only real numbers can have.
+        """
         if self.empty[k]:
             out[...] = np.nan
             return

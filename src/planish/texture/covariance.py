@@ -138,7 +138,10 @@ class PairCovariances:
     """
 
     def __init__(self, x: Floats, y: Floats, lags: Lags) -> None:
-        """Take the covariances of both maps at all lags, cut where each first turns to zero."""
+        """Take the covariances of both maps at all lags, cut where each first turns to zero.
+
+        ``variances`` are those of the maps as they are, without what the mean took.
+        """
         self.lags = lags
         self._maps = [centred(m, lags.is_valid) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
@@ -226,7 +229,11 @@ class PairCovariances:
         return max(self.spatial_error(r)[1], 1.0)
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
-        """Bartlett's terms of the variance of z at every lag, times the pairs there."""
+        """Bartlett's terms of the variance of z at every lag, times the pairs there.
+
+        Their sum over n² is the variance. ``variances`` are those of single points, the maps' own
+        where None.
+        """
         variance_x, variance_y = self._whole(variances)
         cov_xx, cov_yy, cov_xy = self._together
         xx = cov_xx / variance_x

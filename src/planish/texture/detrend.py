@@ -117,7 +117,10 @@ class Plane:
     """The plane of least squares through the known pixels of maps with one mask (rows, cols)."""
 
     def __init__(self, valid: Bools) -> None:
-        """Solve for its slopes once; the places of rows and columns are those from their mean."""
+        """Solve for its slopes once; the places of rows and columns are those from their mean.
+
+        With fewer than three pixels there is no plane, and :meth:`taken_off` gives 0.
+        """
         self._valid = valid
         n = max(np.count_nonzero(valid), 1)
         by_row = valid.sum(axis=1)

@@ -29,7 +29,8 @@ class LagSearch:
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: Shape2D) -> None:
         """Correlate all maps at all lags, and solve the regressions.
 
-        The products of the maps x with each other are those of the whole field at each lag.
+        ``wide`` is the longest lag along rows and columns, in pixels. The products of the maps x
+        with each other are those of the whole field at each lag.
         """
         self._x = x
         self._y = y
@@ -67,6 +68,8 @@ class LagSearch:
         """Height that unrelated textures exceed within reach in 1 of 1000 cases.
 
         ``reach`` are the half axes of the ellipse of lags, in pixels. Infinite without any texture.
+        By chance R² over the variance of r is a chi-squared field over the lags, as rough as both
+        spectra make it.
         """
         # Independent combinations of the maps, each of spread 1.
         values, vectors = np.linalg.eigh(self._inner)

@@ -32,7 +32,11 @@ class MaskedNcc:
     """
 
     def __init__(self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: Shape2D) -> None:
-        """Transform the map that stays and both masks, and sum over the pairs at each lag."""
+        """Transform the map that stays and both masks, and sum over the pairs at each lag.
+
+        ``a``, ``a_valid`` and ``b_valid`` (rows, cols); ``reach`` is the longest lag along rows and
+        columns, in pixels.
+        """
         self._reach = reach
         self._shape = padded_shape(a.shape, reach)
         self._b_valid = b_valid
@@ -53,7 +57,7 @@ class MaskedNcc:
     def __call__(self, b: Floats) -> Floats:
         """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle.
 
-        NaN where few pairs are left.
+        ``b`` (rows, cols) counts where ``b_valid`` is set. NaN where few pairs are left.
         """
         b = standard(b, self._b_valid)
         b_hat = padded_spectrum(b, self._shape)
@@ -133,7 +137,11 @@ def _square(values: Floats, row: int, col: int, reach: int) -> Floats:
 
 
 def _climbed(spline: RectBivariateSpline, peak: Peak) -> Peak:
-    """The summit of a spline about a peak, by Newton's steps; the peak itself where it has none."""
+    """The summit of a spline about a peak, by Newton's steps; the peak itself where it has none.
+
+    ``spline`` gives r by the distance (down, across) from the peak's whole lag, in pixels. It has
+    none where it is not curved downwards, or lies farther off than two pixels.
+    """
     offset = np.zeros(2)
     step = np.ones(2)
     for k in range(21):

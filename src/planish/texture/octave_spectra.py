@@ -55,7 +55,8 @@ class OctavePower:
 def octaves_of(is_valid: Bools, pixel_um: Pair) -> list[Pair]:
     """Octaves that a field shows, from the longest on: shortest and longest wave, um.
 
-    They divide 1 mm by powers of 2, so that fields with any pixel have the same ones.
+    They divide 1 mm by powers of 2, so that fields with any pixel have the same ones: waves of four
+    pixels or more, up to a fifth of the shorter side of what is valid. Empty where nothing is.
     """
     sides_um: list[float] = []
     for axis in (1, 0):
@@ -169,8 +170,9 @@ class _OctaveWindow:
     def __init__(self, is_known: Bools, pixel_um: Pair, step: int, octave: Pair) -> None:
         """Weigh the pixels that are known by how much of their surroundings is.
 
-        ``pixel_um`` is that of the first level, ``step`` the number of the octave's own, and
-        ``is_known`` its mask.
+        ``pixel_um`` is that of the first level, ``step`` the number of the octave's own,
+        ``is_known`` its mask, and ``octave`` the shortest and the longest wave, um. Lags,
+        frequencies and widths of means are those of the octave's own pixels, along y and x.
         """
         self.step = step
         self._low_um, self._high_um = octave
@@ -202,7 +204,8 @@ class _OctaveWindow:
     def power(self, pyramids: Sequence[Levels], is_of_rows: Sequence[bool]) -> OctavePower:
         """Power in the octave of maps, by their means at each level.
 
-        ``is_of_rows`` says of each map whether it is half a difference of rows.
+        ``is_of_rows`` says of each map whether it is half a difference of rows. The power is summed
+        over the waves of the octave that run to one side, which stand for both.
         """
         maps = [levels[self.step] for levels in pyramids]
         details = [self._weight * (m - self._mean_around(m)) for m in maps]

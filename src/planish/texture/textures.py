@@ -298,7 +298,11 @@ class _Band:
     """
 
     def __init__(self, shown: Bools, pixel_um: Pair, band_um: Pair) -> None:
-        """Filter the mask as the maps will be, and number the distances from its holes."""
+        """Filter the mask as the maps will be, and number the distances from its holes.
+
+        ``shown`` (rows, cols) are the pixels with a value in all maps, ``band_um`` the shortest and
+        the longest wave.
+        """
         self._pixel_um = pixel_um
         self._band_um = band_um
         # The neighbourhood of 1 mm in which all maps are given the same spread.
@@ -317,7 +321,11 @@ class _Band:
         self._in_ring = np.maximum(pixel_counts, 1)
 
     def __call__(self, values: Floats) -> Floats:
-        """The band of one map (rows, cols), NaN where missing; 0 where the result is not known."""
+        """The band of one map (rows, cols), NaN where missing; 0 where the result is not known.
+
+        Waves below the band are smoothed away, those above it taken off; then the spread is made
+        equal, stains are clipped and the mean at each distance from holes is taken off.
+        """
         is_valid = self.is_valid
         fine = low_pass(standard(values, self._shown), self._band_um[0], self._pixel_um)
         fine = np.divide(fine, self._fine, out=fine, where=is_valid)
