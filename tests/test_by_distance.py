@@ -23,6 +23,7 @@ from planish.analyze.variograms import answer_variograms
 from planish.report import diagnostics
 from planish.report.sentences.table import sentences
 from planish.report.sentences.wording import Wording
+from planish.report.text import Basis
 from planish.results import EvidenceFacts, Results
 
 CELL = (8.0, 8.0)
@@ -100,7 +101,9 @@ def test_two_measurements_are_compared_as_the_functions_say():
     assert said[1].startswith("lm minus ct, over 720 points of 40\u202fµm: 0.5")
     assert "Deming" in said[2]
     assert "a ratio of 2.00, as declared" in said[2]
-    picture = diagnostics.draw_rings(found, name="coating thickness", layers=("ct", "lm"))
+    picture = diagnostics.draw_rings(
+        found, name="coating thickness", layers=("ct", "lm"), basis=Basis()
+    )
     assert len(picture.data["rings"]["correlation"]) == len(rings.rings)
 
 
@@ -153,7 +156,7 @@ def test_the_page_names_ranges_directions_and_the_lag():
 def test_figures_hold_their_numbers():
     found = facts(md_deg=10.0)
     variograms = diagnostics.draw_variograms(
-        found, titles=("Coating thickness, top side", "Grey value, uncalibrated")
+        found, titles=("Coating thickness, top side", "Grey value, uncalibrated"), basis=Basis()
     )
     assert [*variograms.data] == ["coating-top", "image"]
     assert [*variograms.data["coating-top"]] == [
@@ -165,9 +168,11 @@ def test_figures_hold_their_numbers():
         "half mean square difference / grey value²",
     ]
     assert "µm²" in variograms.svg
-    lags = diagnostics.draw_correlogram(found.correlogram, names=("coating", "grey"))
+    lags = diagnostics.draw_correlogram(found.correlogram, names=("coating", "grey"), basis=Basis())
     assert lags.data["along-x"]["r"] == list(found.correlogram.along_x.r)
-    same = diagnostics.draw_variograms(facts(same=True), titles=("Coating, a", "Coating, b"))
+    same = diagnostics.draw_variograms(
+        facts(same=True), titles=("Coating, a", "Coating, b"), basis=Basis()
+    )
     assert [*same.data] == ["a-coating-top", "b-coating-top"]
 
 

@@ -10,6 +10,7 @@ import xarray as xr
 from planish.analyze import correlate_layers
 from planish.core.numbers import to_spread
 from planish.report import largest, relation, summary
+from planish.report.text import Basis
 from planish.results import CorrelationRow
 from report.pages import HOSTILE, Page, assert_alone, captions_of
 from report.runs import lag_of, marks_of, page_of, planes, registration_of, results_of, text_of
@@ -204,7 +205,7 @@ def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_
         same_quantity=True,
         units="um",
     )
-    drawn = relation.draw_pair(relation.MapPair(a, a, [row]), names=("a", "b"))
+    drawn = relation.draw_pair(relation.MapPair(a, a, [row]), names=("a", "b"), basis=Basis())
     assert "no correlation" in drawn.svg
     assert "nan" not in drawn.svg
 

@@ -24,6 +24,7 @@ from planish.report import (
     relation,
     take_slice,
 )
+from planish.report.text import Basis
 from report.pages import HOSTILE, Page, assert_alone, captions_of
 from report.runs import PROPERTIES, a_run, page_of, text_of
 
@@ -349,9 +350,9 @@ def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels():
     ("thin_um", "expected"), [(18.0, "below 18\u202fµm,"), (1.0, "No valid pixel is below 1")]
 )
 def test_outlines_say_which_limit_they_show(thin_um, expected):
-    caption = maps.draw_outlines(a_run()["groups"]["linked"], name="coating_top", thin_um=thin_um)[
-        -1
-    ].caption
+    linked = a_run()["groups"]["linked"]
+    *_, outlined = maps.draw_outlines(linked, name="coating_top", thin_um=thin_um, basis=Basis())
+    caption = outlined.caption
     assert expected in caption
     assert ("thinnest 5 %" in caption) == (thin_um == 1.0)
     assert "standard deviations darker" in caption

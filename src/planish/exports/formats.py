@@ -8,8 +8,6 @@ params)``. The content is what the format holds: :class:`~planish.exports.conten
 is whole. The same content gives the same bytes.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Callable

@@ -1,14 +1,13 @@
 """The page that answers one question; one file that needs nothing else."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
-
+from planish.core.typing import Fields
 from planish.report import text
 
+# Tables by their headings: rows of texts, by the headings of their columns
+WordTables = dict[str, list[dict[str, str]]]
 
-def answer_page(section: Mapping[str, Any], *, source: str, version: str) -> str:
+
+def answer_page(section: Fields, *, source: str, version: str) -> str:
     """Return the page of an answer as HTML.
 
     Parameters

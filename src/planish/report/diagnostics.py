@@ -39,12 +39,14 @@ from planish.report.relation import (
     points_table,
 )
 from planish.report.sentences.variograms import squared_unit
-from planish.report.text import BASIS, Basis
+from planish.report.text import Basis, TwoTexts
 from planish.results import CorrelationRow, EvidenceFacts, Mottle
 
-_TOP, _HIGH = 40.0, 235.0
+# Pixels above axes, and their height
+_TOP = 40.0
+_HIGH = 235.0
 _SCALE_HIGH = 250.0
-_ROOM = 1.08
+_ROOM = 1.08  # length of an axis over the largest value that it holds
 _OCTAVE_FIELDS = {
     "shortest wave / µm": "shortest_um",
     "longest wave / µm": "longest_um",
@@ -65,7 +67,7 @@ _RING_FIELDS = {
 def draw_scale(
     evidence: EvidenceFacts,
     *,
-    names: tuple[str, str],
+    names: TwoTexts,
     basis: Basis,
 ) -> Picture:
     """Draw r against the size of points, and coherence by octaves.
@@ -75,7 +77,9 @@ def draw_scale(
     canvas = Canvas(FULL, 360)
     _draw_size_curve(canvas, evidence)
     _draw_octaves(canvas, evidence)
-    n = evidence.sizes[0].n if evidence.sizes else 0
+    n = 0
+    if evidence.sizes:
+        n = evidence.sizes[0].n
     caption = (
         "Left, correlation over points of growing size; lines, the 95 % interval of each size"
         " by itself; shaded, the 95 % band of the whole curve. Right, squared coherence by"
@@ -96,9 +100,8 @@ def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
     size_columns = dict(columns(evidence.sizes, fields))
     for field_name, column_title in (("interval", "95 % limit"), ("band", "end of the band")):
         for k, bound in enumerate(("lower", "upper")):
-            size_columns[f"{bound} {column_title}"] = or_blank(
-                getattr(row, field_name)[k] for row in evidence.sizes
-            )
+            ends = [getattr(row, field_name)[k] for row in evidence.sizes]
+            size_columns[f"{bound} {column_title}"] = or_blank(ends)
     tables: dict[str, Table] = {}
     if evidence.sizes:
         tables["sizes"] = size_columns
@@ -143,6 +146,7 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
         ends = (math.log10(band.shortest_um), math.log10(band.longest_um))
         axes.line(ends, band.coherence, colour=ACCENT, width=2.2)
         centre = (sum(ends) / 2, band.coherence)
+        # Also where p is not known.
         is_chance = not band.p_of_bands < 0.05
         axes.dots(*centre, colour=ACCENT, size=8, is_open=is_chance)
         if is_known(band.gain):
@@ -152,7 +156,7 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
-    """Draw the axes of a figure over logarithms of lengths."""
+    """Draw the axes of a figure whose x are decadic logarithms of lengths in um."""
     x_min, x_max, *_ = axes.extent
     lengths_um = np.outer(10.0 ** np.arange(-1, 6), (1, 2, 5)).ravel()
     ticks = [(math.log10(length_um), f"{length_um:g}") for length_um in lengths_um]
@@ -160,12 +164,10 @@ def draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> Non
     canvas.ticks(axes, x_label, y_label, x_ticks=x_ticks)
 
 
-def draw_variograms(
-    evidence: EvidenceFacts, *, titles: Sequence[str], basis: Basis = BASIS
-) -> Picture:
+def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], basis: Basis) -> Picture:
     """Draw the variogram of each of the two maps, with its sill and range.
 
-    ``titles`` are those of the maps.
+    ``titles`` are those of the maps. Two layers with the same map are told apart by the layer.
     """
     canvas = Canvas(FULL, 345)
     is_same_map = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
@@ -174,7 +176,8 @@ def draw_variograms(
         distances = (0.0, *curve.distances_um)
         values = (curve.nugget, *curve.values)
         y_max = _ROOM * max(*curve.values, curve.sill, 1e-12)
-        axes = canvas.axes(left_px, _TOP, WIDE, _HIGH, (0.0, distances[-1], 0.0, y_max))
+        extent = (0.0, distances[-1], 0.0, y_max)
+        axes = canvas.axes(left_px, _TOP, WIDE, _HIGH, extent)
         axes.across(curve.sill, width=1.2, dash="6 4")
         if is_known(curve.range_um):
             axes.upright(curve.range_um, width=1.2, dash="2 3")
@@ -204,17 +207,19 @@ def _cell_text(sides_um: Iterable[float]) -> str:
     return " × ".join(f"{side_um:g}" for side_um in rounded)
 
 
-def draw_correlogram(
-    profiles: CorrelogramProfiles, *, names: tuple[str, str], basis: Basis = BASIS
-) -> Picture:
-    """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
+def draw_correlogram(profiles: CorrelogramProfiles, *, names: TwoTexts, basis: Basis) -> Picture:
+    """Draw r of both maps, one moved along x and along y, with what unrelated maps reach.
+
+    ``names``: both maps in a sentence.
+    """
     canvas = Canvas(FULL, 345)
     tables: dict[str, Table] = {}
     for left_px, axis, profile in ((LEFT, "x", profiles.along_x), (RIGHT, "y", profiles.along_y)):
         lags_um = profile.lags_um
         levels = filter(is_known, (*profile.r, *profile.limit_of_any, *profile.limit))
         r_max = min(_ROOM * max(map(abs, levels), default=1.0), 1.0)
-        axes = canvas.axes(left_px, _TOP, WIDE, _HIGH, (lags_um[0], lags_um[-1], -r_max, r_max))
+        extent = (lags_um[0], lags_um[-1], -r_max, r_max)
+        axes = canvas.axes(left_px, _TOP, WIDE, _HIGH, extent)
         axes.band(lags_um, np.outer(profile.limit, (1, -1)))
         axes.across(0.0)
         axes.upright(0.0)
@@ -240,10 +245,8 @@ def draw_correlogram(
     return canvas.picture(f"{capital(names[0])} shifted against {names[1]}", caption, tables)
 
 
-def draw_rings(
-    agreement: AgreementFacts, *, name: str, layers: tuple[str, str], basis: Basis = BASIS
-) -> Picture:
-    """Draw how far two measurements of one map agree, against wavelength."""
+def draw_rings(agreement: AgreementFacts, *, name: str, layers: TwoTexts, basis: Basis) -> Picture:
+    """Draw how far two measurements of one map, called ``name``, agree, against wavelength."""
     canvas = Canvas(FULL, 345)
     log_wavelengths = [math.log10(ring.wavelength_um) for ring in agreement.rings]
     correlations = [ring.correlation for ring in agreement.rings]
@@ -275,15 +278,20 @@ def draw_kubelka_munk(
     points: Points,
     row: CorrelationRow,
     *,
-    titles: tuple[str, str],
+    titles: TwoTexts,
     basis: Basis,
 ) -> Picture:
     """Draw the larger points with the straight line and the curve.
 
-    The curve is drawn with what its interval leaves open.
+    The curve is drawn with what its interval leaves open. ``points``: coating and image at the same
+    points, of which ``row`` is the correlation; ``titles``: of both.
     """
-    unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
-    density = evidence.density_g_cm3 if curve.weight else None
+    unit_x = "µm"
+    if evidence.a_map.startswith("coat_weight"):
+        unit_x = "g/m²"
+    density = None
+    if curve.weight:
+        density = evidence.density_g_cm3
     points, (row,), _, axis_labels = as_drawn(points, (row,), titles, (unit_x, ""), density)
     canvas = Canvas(FULL, 385)
     axes = draw_dots(canvas, points, (LEFT, 30.0, FULL - 130.0, 300.0))
@@ -292,6 +300,7 @@ def draw_kubelka_munk(
     scattering = curve.scattering_interval
     backing = curve.backing_at_ends
     if is_known(scattering) and is_known(backing):
+        # Reflectance over x at the lower and at the upper end of the interval.
         ends = [curve.reflectance(x, *pair) for pair in zip(scattering, backing, strict=True)]
         axes.band(x, np.transpose(ends))
     draw_slope(axes, row)
@@ -316,9 +325,9 @@ def draw_kubelka_munk(
     return canvas.picture(title, caption, tables)
 
 
-def mottle_cells(mottle: Mottle) -> list[tuple[str, str]]:
+def mottle_cells(mottle: Mottle) -> list[TwoTexts]:
     """Octaves of wavelength and the coefficient of variation in each, as cells of a table."""
-    cells: list[tuple[str, str]] = []
+    cells: list[TwoTexts] = []
     for band in mottle.bands:
         waves_text = f"{band.shortest_um:g} to {band.longest_um:g}"
         cells.append((waves_text, number(100 * band.coefficient_of_variation)))

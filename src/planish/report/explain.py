@@ -28,7 +28,7 @@ from planish.core.numbers import (
     unit,
 )
 from planish.core.typing import Entries
-from planish.report.answer import answer_page
+from planish.report.answer import WordTables, answer_page
 from planish.report.colours import limits
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
@@ -81,7 +81,7 @@ def explain_page(model: AnyModel, *, source: str, version: str) -> tuple[str, li
     return answer_page(section, source=source, version=version), section["pictures"]
 
 
-def explained_section(model: AnyModel | None) -> dict[str, Any]:
+def explained_section(model: AnyModel | None) -> Entries:
     """Give what page and report show of a model; nothing of none."""
     if model is None:
         return {}
@@ -101,10 +101,15 @@ def explained_section(model: AnyModel | None) -> dict[str, Any]:
 
 
 def details_of(model: AnyModel) -> list[Picture]:
-    """Figures beside that of the coefficients: other cells, partial plots, residuals."""
+    """Figures beside that of the coefficients: other cells, partial plots, residuals.
+
+    A series has none, and a model that was read from a file no cells.
+    """
+    pictures: list[Picture] = []
     if isinstance(model, ExplainedSeries):
-        return []
-    pictures = [draw_sizes(model)] if len(model.sizes) > 1 else []
+        return pictures
+    if len(model.sizes) > 1:
+        pictures.append(draw_sizes(model))
     if model.cells is not None:
         pictures += [draw_partial(model, name) for name in strongest(model.coefficients)]
         pictures.append(draw_residuals(model))
@@ -115,7 +120,9 @@ def details_of(model: AnyModel) -> list[Picture]:
 
 def tiles_of(model: AnyModel) -> list[KeyFigure]:
     """What is explained, and what it rests on."""
-    out_text = f"out of sample {percent(model.r2_out, 2)}" if is_known(model.r2_out) else ""
+    out_text = ""
+    if is_known(model.r2_out):
+        out_text = f"out of sample {percent(model.r2_out, 2)}"
     n_text = f"n_eff, of n = {count(model.n)} cells"
     cell_text = "all maps are averaged over them first"
     tiles = [
@@ -128,9 +135,12 @@ def tiles_of(model: AnyModel) -> list[KeyFigure]:
     return tiles
 
 
-def coefficient_tables(model: AnyModel) -> dict[str, list[dict[str, str]]]:
-    """The coefficients in words, the largest first, as tables by their headings."""
-    tables: dict[str, list[dict[str, str]]] = {}
+def coefficient_tables(model: AnyModel) -> WordTables:
+    """The coefficients in words, the largest first, as tables by their headings.
+
+    Those are ``Coefficients`` and, of one specimen, ``Diagnostics``: a row for each map.
+    """
+    tables: WordTables = {}
     for name in strongest(model.coefficients):
         c: Any = model.coefficients[name]
         row = {
@@ -143,7 +153,7 @@ def coefficient_tables(model: AnyModel) -> dict[str, list[dict[str, str]]]:
         }
         tables.setdefault("Coefficients", []).append(row)
         if isinstance(model, ExplainedSeries):
-            between = c.between_sheets
+            between = c.between_sheets  # None of a single sheet
             row["Spread between sheets"] = NONE if between is None else fixed(between.sd_between, 2)
             continue
         diagnostics = {
@@ -159,14 +169,16 @@ def coefficient_tables(model: AnyModel) -> dict[str, list[dict[str, str]]]:
 
 
 def _unit_of_plain(model: AnyModel, coefficient: CoefficientFacts) -> list[str]:
-    """Unit of the response per unit of the map; no word where neither has one."""
+    """Unit of the response per unit of the map, in words; none where neither has one."""
+    words = [unit(model.units)]
     units = unit(coefficient.units)
-    per_text = f"per {units}" if units else ""
-    return [part for part in (unit(model.units), per_text) if part]
+    if units:
+        words.append(f"per {units}")
+    return [*filter(None, words)]
 
 
 def tables_of(model: AnyModel) -> dict[str, Table]:
-    """What a model says as tables, by the name of a file."""
+    """What a model says as tables, by the name of a file: columns of numbers by their headings."""
     tables = {"coefficients": _coefficient_table(model)}
     if isinstance(model, ExplainedSeries):
         specimen_rows: list[Entries] = []
@@ -198,10 +210,10 @@ def _size_rows(model: Explained) -> list[Entries]:
 
 
 def _table_of_cells(cells: xr.Dataset) -> Table:
-    """Cells that have all values, a row each."""
+    """Cells that have all values, a row each: their middles in um, and the mean of every map."""
     cells = cells.drop_vars([k for k in cells if str(k).endswith(" freed")])
     complete = cells.stack(cell=("cell_y", "cell_x")).dropna("cell")
-    columns = {"y_um": complete["cell_y"], "x_um": complete["cell_x"], **dict(complete.items())}
+    columns = {"y_um": complete["cell_y"], "x_um": complete["cell_x"], **complete}
     return {str(name): values.values.tolist() for name, values in columns.items()}
 
 
@@ -224,8 +236,7 @@ def draw_coefficients(model: AnyModel) -> Picture:
         axes.dots(value, y, colour=colour, size=9, is_open=not coefficient.direction)
         # The number stands on the side of the dot that the line at 0 is not on.
         anchor = "start" if value >= 0 else "end"
-        value_text = fixed(value, 2)
-        axes.text(value, y, value_text, anchor=anchor, shift=(0, -6), size=SMALL)
+        axes.text(value, y, fixed(value, 2), anchor=anchor, shift=(0, -6), size=SMALL)
     caption = (
         "Dots: standardised coefficients, the others held. Lines: their 95 % intervals, from"
         f" {independent_cells(model)} independent cells of n = {count(model.n)} (cells of"
@@ -237,7 +248,10 @@ def draw_coefficients(model: AnyModel) -> Picture:
 
 
 def draw_sizes(model: Explained) -> Picture:
-    """Draw standardised coefficients over cells of growing size, the declared one marked."""
+    """Draw standardised coefficients over cells of growing size, the declared one marked.
+
+    The axis below is the logarithm of the edge in um.
+    """
     rows = [row for row in model.sizes if row.standardised]
     intervals = chain.from_iterable(row.intervals.values() for row in rows)
     ends = [0.0, *filter(is_known, chain.from_iterable(intervals))]
@@ -251,6 +265,7 @@ def draw_sizes(model: Explained) -> Picture:
     axes.upright(math.log10(model.cell_um), colour=FAINT, width=24)
     axes.across(0.0, dash="4 3")
     for index, (name, colour) in enumerate(colours.items()):
+        # Side by side, so that intervals do not hide each other.
         places = np.array(logs) + 0.02 * (index - (len(names) - 1) / 2)
         for place, row in zip(places, rows, strict=True):
             axes.line(place, row.intervals[name], colour=colour, width=1.4)
@@ -270,7 +285,10 @@ def draw_sizes(model: Explained) -> Picture:
 
 
 def draw_partial(model: Explained, name: str) -> Picture:
-    """Draw response against one map, both freed of what the others explain."""
+    """Draw response against one map, both freed of what the others explain.
+
+    The response so freed is what the whole model leaves and what this map explains.
+    """
     coefficient = model.coefficients[name]
     freed = model.cells[f"{name} freed"].values
     is_valid = np.isfinite(freed)
@@ -306,7 +324,7 @@ def draw_residuals(model: Explained) -> Picture:
 
 
 def draw_correlogram(model: Explained, curve: Variogram) -> Picture:
-    """Draw how far the residuals resemble each other."""
+    """Draw how far the residuals resemble each other: 1 less the variogram over its sill."""
     distances = [0.0, *curve.distances_um]
     values = [1.0, *(1 - value / curve.sill for value in curve.values)]
     canvas = Canvas(HALF, 310)

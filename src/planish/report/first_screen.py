@@ -31,10 +31,13 @@ if TYPE_CHECKING:
 def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Picture]:
     """Draw the two maps that lead, on one grid and mask, and larger points of ``pairs``.
 
-    None that is withheld.
+    Points are those of the maps as they were compared, while the maps that are shown may be smaller
+    copies. None where no pair leads; no points where their r is withheld.
     """
     rows = lead_pair(run_maps.results)
-    shown_pair = MapPair.of(run_maps.drawn, rows) if rows else None
+    if not rows:
+        return []
+    shown_pair = MapPair.of(run_maps.drawn, rows)
     if shown_pair is None:
         return []
     row = shown_pair.coarse
@@ -58,22 +61,25 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
 
 
 def _draw_map(data: xr.DataArray, colour_values: Array, layer: str, basis: Basis) -> Picture:
-    """Draw a map on a third of the page, with its colours below.
+    """Draw a map of a layer on a third of the page, with its colours below.
 
     The colours span those of ``colour_values``.
     """
     map_px = THIRD - MARGIN - 12
     shown = reduced(data, width=map_px)
     map_size = shown.fit(map_px, 330.0)
+    width, height = map_size
     scale = colours_of(data, colour_values)
-    bar_px = max(map_size[0], 150.0)
-    canvas = Canvas(THIRD, map_size[1] + BELOW + 74)
+    bar_px = max(width, 150.0)
+    canvas = Canvas(THIRD, height + BELOW + 74)
     canvas.map_axes(MARGIN, 8, map_size, shown, scale)
-    bottom_px = map_size[1] + BELOW + 8
-    canvas.draw_axis_names(MARGIN + map_size[0], bottom_px)
+    bottom_px = height + BELOW + 8
+    canvas.draw_axis_names(MARGIN + width, bottom_px)
     canvas.colour_bar(MARGIN, bottom_px + 22, bar_px, 10, scale)
     canvas.text(MARGIN + bar_px / 2, bottom_px + 62, label_of(data), anchor="middle")
-    title = title_of(data) if with_article(layer) != layer else f"{title_of(data)}, {layer}"
+    title = title_of(data)
+    if with_article(layer) == layer:  # a name of its own, such as ct, and not sheet or image
+        title = f"{title}, {layer}"
     caption = (
         f"n = {n_of(data)} pixels of {pixel_of(data['x'].values)}; mask: valid in both maps,"
         f" without {basis.excluded}. Colours span the 1st to the 99th percentile."
@@ -84,7 +90,8 @@ def _draw_map(data: xr.DataArray, colour_values: Array, layer: str, basis: Basis
 def recommendations(results: Results) -> list[tuple[str, Check | None]]:
     """Say in one or two sentences what would make the results more certain.
 
-    Each comes with the check whose advice it is.
+    Each comes with the check whose advice it is, or None. Checks that failed come first, then those
+    that ask for a look.
     """
     checks = [*results.checks_in("fail"), *results.checks_in("look")]
     advice: list[tuple[str, Check | None]] = [
@@ -100,10 +107,10 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
         )
     advice += [(text, None) for text in filter(None, texts)]
     usual_text = (
-        "A second specimen would show whether the relation holds beyond this one."
-        if results.is_link
-        else "A second field of the sheet would show how much the maps vary from place to place."
+        "A second field of the sheet would show how much the maps vary from place to place."
     )
+    if results.is_link:
+        usual_text = "A second specimen would show whether the relation holds beyond this one."
     return advice[:2] or [(usual_text, None)]
 
 
@@ -140,8 +147,11 @@ def _remedies(results: Results) -> Iterator[str]:
 
 
 def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
-    row = largest(pair_rows) if pair_rows else None
-    if row is None or row.trust != "ok" or not is_known(row.r):
+    """Say that a larger field narrows the interval of r; empty where that is not needed."""
+    if not pair_rows:
+        return ""
+    row = largest(pair_rows)
+    if row.trust != "ok" or not is_known(row.r):
         return ""
     if not is_known(row.interval):
         return (
@@ -160,7 +170,10 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
 
 
 def _marks_advice(results: Results) -> str:
-    more = "Laser holes as marks" if registered_by(results) == BY_TEXTURE else "More marks"
+    """Say that more marks are needed; empty where there are enough of them."""
+    more = "More marks"
+    if registered_by(results) == BY_TEXTURE:
+        more = "Laser holes as marks"
     r_limits = [e.attenuation_limit for e in results.evidence if e.attenuation_limit is not None]
     if r_limits and min(r_limits) < 0.95:  # r that misplacement leaves of a perfect relation
         return (

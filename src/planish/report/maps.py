@@ -34,7 +34,15 @@ from planish.report.draw import (
     reduced,
 )
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import BASIS, Basis, label_of, left_out, stated_of, title_of, unit_of
+from planish.report.text import (
+    Basis,
+    TwoTexts,
+    label_of,
+    left_out,
+    stated_of,
+    title_of,
+    unit_of,
+)
 from planish.results import LayerFacts, PropertyFacts, Results
 
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
@@ -84,7 +92,10 @@ class RunMaps:
         return self._by_layer(self._smaller)
 
     def _by_layer(self, read_group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
-        """Maps of each layer, of its own group or of that which a sheet and an image share."""
+        """Maps of each layer, of its own group or of that which a sheet and an image share.
+
+        ``read_group`` gives the group of a name, or None.
+        """
         maps_by_layer: dict[str, xr.Dataset] = {}
         if not self.results.is_link:
             return maps_by_layer
@@ -100,9 +111,12 @@ class RunMaps:
         return maps_by_layer
 
     def _smaller(self, name: str) -> xr.Dataset | None:
-        """A group, or the finest of its smaller copies that is small enough to be drawn."""
+        """A group, or the finest of its smaller copies that is small enough to be drawn.
+
+        None where there is no such group; the smallest copy where all are too large.
+        """
         maps = self.data.get(name)
-        k = 1
+        k = 1  # copies are numbered from the finest on
         # More pixels than the widest figure has.
         while maps is not None and maps.sizes["y"] * maps.sizes["x"] > SAMPLE_PIXELS:
             smaller = self.data.get(f"overviews/{name}/{k}")
@@ -113,9 +127,9 @@ class RunMaps:
         return maps
 
     @cached_property
-    def titles(self) -> dict[tuple[str, str], str]:
+    def titles(self) -> dict[TwoTexts, str]:
         """Titles of all maps, by layer and name."""
-        titles: dict[tuple[str, str], str] = {}
+        titles: dict[TwoTexts, str] = {}
         for layer in self.results.layers:
             for maps in (self.part(layer, "maps"), self.linked.get(layer.name)):
                 if maps is not None:
@@ -139,9 +153,12 @@ def draw_maps(
     ``lead_only``: the first alone, for the first page. Mean and standard deviation are those of
     ``facts``, over the columns of the volume, as everywhere on the page.
     """
-    names = [name for name in facts if name in maps and np.isfinite(maps[name].values).any()]
+    present = filter(maps.__contains__, facts)
+    names = [name for name in present if maps[name].notnull().any()]
     names.sort(key=lambda name: name != headline)
-    widths = [2 * THIRD] if lead_only else [FULL, *[HALF] * len(names)]
+    widths = [FULL, *[HALF] * len(names)]
+    if lead_only:
+        widths = [2 * THIRD]
     pictures: list[Picture] = []
     for name, width in zip(names, widths, strict=False):
         partner = partner_of(name, names)
@@ -159,14 +176,23 @@ def _draw_property(
     width: float,
     rim_um: float,
 ) -> Picture:
-    """Draw a map of a sheet with its colours, which it shares with a partner, and a histogram."""
+    """Draw a map of a sheet with its colours, which it shares with a partner, and a histogram.
+
+    ``partner``: name of the same map of the other side, or None; ``rim_um``: as for
+    :func:`draw_maps`.
+    """
     data = maps[name]
     map_px = width - MARGIN - _BESIDE
     values = data.values.astype(np.float64)
     shown = reduced(data, width=map_px)
-    size = shown.fit(map_px, 480.0 if width < FULL else 640.0)
+    highest_px = 640.0
+    if width < FULL:
+        highest_px = 480.0
+    size = shown.fit(map_px, highest_px)
+    # Sorted, so that both sides of the sheet pool their values in one order.
     names = sorted({name, partner or name})
-    scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in names]))
+    pooled = [maps[key].values.ravel() for key in names]
+    scale = colours_of(data, np.concatenate(pooled))
     bar_height = panel_height(size, "colours")
     canvas = Canvas(width, bar_height + BELOW + 38)
     axes = canvas.map_axes(MARGIN, 8, size, shown, scale)
@@ -174,11 +200,14 @@ def _draw_property(
     middle = 8 + bar_height / 2
     canvas.colour_bar(right + 12, 8, 13, bar_height, scale)
     canvas.text(right + _BESIDE - 10, middle, label_of(data), anchor="middle", upwards=True)
-    histogram = _draw_histogram(canvas, (right + 70, 8, 62, bar_height), values, scale, facts)
+    histogram_box = (right + 70, 8, 62, bar_height)
+    histogram = _draw_histogram(canvas, histogram_box, values, scale, facts)
     canvas.draw_scale_row(axes, 2, "u, v")
     mean_text = ""
     if facts.mean is not None and facts.sd is not None:
-        mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
+        mean = facts.mean
+        if abs(mean) < 1e-6 * facts.sd:  # the mean of heights that were levelled
+            mean = 0.0
         unit_text = f" {unit_of(data)}".rstrip()
         mean_text = (
             f"{number(mean)} ± {number(facts.sd)}{unit_text} (mean ± standard deviation of n ="
@@ -198,12 +227,15 @@ def _draw_property(
 
 def draw_side_by_side(
     maps: tuple[xr.DataArray, xr.DataArray],
-    layers: tuple[str, str],
+    layers: TwoTexts,
     *,
     same_scale: bool,
     basis: Basis,
 ) -> Picture:
-    """Draw two maps (y, x) side by side, NaN where not valid."""
+    """Draw two maps (y, x) side by side, NaN where not valid.
+
+    ``same_scale``: on one scale of colours, as for two maps of the same quantity.
+    """
     map_px = HALF - MARGIN - BESIDE
     shown_maps = [reduced(data, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)
@@ -212,11 +244,14 @@ def draw_side_by_side(
         left_px = k * (FULL - HALF)
         canvas.text(left_px + MARGIN, 18, layer, bold=True, size=13)
         scaled_maps = maps if same_scale else [data]
-        scale = colours_of(data, np.concatenate([m.values.ravel() for m in scaled_maps]))
+        limit_values = np.concatenate([m.values.ravel() for m in scaled_maps])
+        scale = colours_of(data, limit_values)
         canvas.panel(left_px, 24, shown, map_size, scale=scale, label=label_of(data))
     titles = [in_words(title_of(m)) for m in maps]
     units = [unit_of(m) or "none" for m in maps]
-    scale_text = "Both have the same" if same_scale else "Each has its own"
+    scale_text = "Each has its own"
+    if same_scale:
+        scale_text = "Both have the same"
     caption = (
         f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same"
         " places."
@@ -230,11 +265,15 @@ def draw_side_by_side(
 def _draw_histogram(
     canvas: Canvas, box: Box, values: Array, scale: Scale, facts: PropertyFacts
 ) -> Table:
-    """Draw a distribution upwards along a colour bar, with mean and standard deviation."""
+    """Draw a distribution upwards along a colour bar, with mean and standard deviation.
+
+    Gives what is drawn as a table: edges of each bin, and the map pixels in it.
+    """
     limits = (scale.low, scale.high)
     counts, edges = np.histogram(values, bins=80, range=limits)
     max_count = max(int(counts.max()), 1)
     axes = canvas.axes(*box, (0, 1.25 * max_count, *limits))
+    # The outline goes over both edges of each bin, from 0 and back to it.
     heights = np.repeat([0, *counts, 0], 2)[1:-1]
     outline = np.column_stack([heights, np.repeat(edges, 2)])
     axes.area(outline, colour="#b9c0c7")
@@ -249,12 +288,11 @@ def _draw_histogram(
     return {"from": bin_edges[:-1], "to": bin_edges[1:], "map pixels": counts.tolist()}
 
 
-def draw_outlines(
-    linked: xr.Dataset, *, name: str, thin_um: float, basis: Basis = BASIS
-) -> list[Picture]:
-    """Draw property and image, and the image with thin regions outlined (Hirn et al.
+def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, basis: Basis) -> list[Picture]:
+    """Draw property and image, and the image with thin regions outlined.
 
-    2009, Fig. 6).
+    That is figure 6 of Hirn et al. (2009). ``linked`` (y, x) holds the map ``name`` in um,
+    ``image`` and ``valid``, the pixels that count; ``thin_um``: limit of a thin region.
     """
     data = linked[name]
     image = linked["image"]
@@ -268,7 +306,8 @@ def draw_outlines(
     map_canvas, _ = draw_map(valid_map, scale=limits(values), label=label_of(data))
     image_canvas, _ = draw_map(image, scale=ground.scale, label="")
     canvas, axes = ground.draw(FULL)
-    thin_share = np.count_nonzero(values < thin_um) / max(np.isfinite(values).sum(), 1)
+    n_known = max(np.isfinite(values).sum(), 1)
+    thin_share = np.count_nonzero(values < thin_um) / n_known
     below = f"{in_words(title)} below"
     limit_um = thin_um
     note_text = f"Outlined: {below} {plain(thin_um)}, {percent(thin_share)} of the valid pixels."
@@ -286,7 +325,8 @@ def draw_outlines(
             axes.outline(valid_map < thin_um, colour=EDGE, width=1.6)
             note_text = f"{note_text} In blue, what is below {plain(thin_um)}."
     labels, _ = ndimage.label(values < limit_um, structure=np.ones((3, 3)))
-    is_outlined = (labels > 0) & (np.bincount(labels.ravel())[labels] >= _SMALLEST)
+    region_pixels = np.bincount(labels.ravel())
+    is_outlined = (labels > 0) & (region_pixels[labels] >= _SMALLEST)
     axes.outline(data.copy(data=is_outlined), colour=ARROW, width=1.7)
     darkness = _darkness_sentence(image.values.astype(np.float64), is_outlined, valid)
     note_text = f"{note_text} Regions under {_SMALLEST} pixels are not drawn. {darkness}"
@@ -315,11 +355,13 @@ def draw_light(light: xr.Dataset, layer: str) -> Picture:
 
 
 def _darkness_sentence(image: Array, is_outlined: Bools, valid: Bools) -> str:
+    """How the image differs within outlines; all (y, x). Empty where that cannot be said."""
     inside_greys = image[is_outlined & valid]
     outside_greys = image[valid & ~is_outlined]
     if not inside_greys.size or not outside_greys.size or not np.ptp(image[valid]):
         return ""
-    shift = float(inside_greys.mean() - outside_greys.mean()) / float(np.std(image[valid]))
+    difference = float(inside_greys.mean() - outside_greys.mean())
+    shift = difference / float(np.std(image[valid]))
     comparative = "darker" if shift < 0 else "lighter"
     return (
         f"Inside, the image is on average {abs(shift):.2f} standard deviations {comparative} than"

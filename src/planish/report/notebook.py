@@ -11,15 +11,17 @@ from planish.core.parameter_words import in_python_words
 from planish.report.colours import colours_of, image_uri
 from planish.report.draw import axes_of, pitch
 from planish.report.maps import RunMaps
-from planish.report.summary import check_summary, summarise
+from planish.report.summary import Titles, check_summary, summarise
 from planish.report.text import label_of
 from planish.results import Results
 
-_WIDE, _HIGH = 300.0, 260.0  # CSS pixels of a small map
+# CSS pixels of a small map, at most
+_WIDE = 300.0
+_HIGH = 260.0
 _FAINT = "opacity:0.7;font-size:90%"
 
 
-def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None = None) -> str:
+def results_html(results: Results, titles: Titles | None = None) -> str:
     """Return the key numbers and checks of a run as HTML.
 
     Parameters
@@ -40,7 +42,9 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
         f" {escape(typeset(in_python_words(check.text)))}</li>"
         for check in results.checks_in("fail", "look", "unknown")
     )
-    list_of_checks = f"<ul>{check_items}</ul>" if check_items else ""
+    list_of_checks = ""
+    if check_items:
+        list_of_checks = f"<ul>{check_items}</ul>"
     return (
         f'<div style="max-width:72ch"><p>{escape(sentence)}</p><table>{rows}</table>'
         f"<p>{escape(check_summary(results))}</p>{list_of_checks}</div>"
@@ -59,9 +63,12 @@ def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
     run_maps = RunMaps(results, groups)
     map_parts: list[str] = []
     for layer in results.layers:
-        maps = run_maps.drawn.get(layer.name) if results.is_link else run_maps.part(layer, "maps")
+        maps = run_maps.part(layer, "maps")
+        title = ""
+        if results.is_link:
+            maps = run_maps.drawn.get(layer.name)
+            title = layer.name
         if maps is not None and layer.headline in maps:
-            title = layer.name if results.is_link else ""
             map_parts.append(map_html(maps[layer.headline], title=title))
     names = " · ".join(layer.source.name for layer in results.layers)
     maps_row = ""
@@ -85,12 +92,15 @@ def map_html(data: xr.DataArray, *, title: str = "") -> str:
     """
     rows, cols = axes_of(data)
     values = data.values.astype(np.float64)
+    # One and a half pixels of the image in a CSS pixel.
     stride = max(1, int(cols.size / (1.5 * _WIDE)), int(rows.size / (1.5 * _HIGH)))
     scale = colours_of(data, values[np.isfinite(values)])
     width_um = cols.size * pitch(cols)
     height_um = rows.size * pitch(rows)
     px_per_um = min(_WIDE / width_um, _HIGH / height_um)
-    title_text = f"{title}: {label_of(data)}" if title else label_of(data)
+    title_text = label_of(data)
+    if title:
+        title_text = f"{title}: {title_text}"
     image = f'src="{image_uri(values[::stride, ::stride], scale)}" alt="{escape(title_text)}"'
     size = f'width="{round(px_per_um * width_um)}" height="{round(px_per_um * height_um)}"'
     field = f"{width_um / 1000:.3g} × {height_um / 1000:.3g} mm"

@@ -116,7 +116,8 @@ def _write_figures(folder: Path, pictures: Sequence[Picture]) -> None:
         file_stem = f"{figure_number:02d}-{_slug(picture.title) or 'figure'}"
         write_whole(folder / f"{file_stem}.svg", standalone(picture).encode())
         for table_name, table in picture.data.items():
-            csv_text = table_text(list(table), zip(*table.values(), strict=True))
+            rows = zip(*table.values(), strict=True)
+            csv_text = table_text(list(table), rows)
             write_whole(folder / f"{file_stem}-{table_name}.csv", csv_text.encode())
 
 
@@ -127,7 +128,8 @@ def _slug(title: str) -> str:
     slug = re.sub(r"[^a-z0-9]+", "-", ascii_title.lower()).strip("-")
     if len(slug) <= _LONGEST:
         return slug
-    return slug[: _LONGEST + 1].rpartition("-")[0] or slug[:_LONGEST]
+    whole_words, _, _ = slug[: _LONGEST + 1].rpartition("-")
+    return whole_words or slug[:_LONGEST]
 
 
 def render_report(
@@ -138,12 +140,14 @@ def render_report(
     pictures: list[Picture] = []
 
     def numbered(picture: Picture) -> int:
+        """Give a figure its number when the template comes to it."""
         pictures.append(picture)
         return len(pictures)
 
-    sheets = list(filter(None, (_sheet_section(run_maps, layer) for layer in results.layers)))
+    sheets = [*filter(None, (_sheet_section(run_maps, layer) for layer in results.layers))]
     pairs = _map_pairs(run_maps)
     leading = first_screen.draw_first(run_maps, pairs)
+    # Without a pair that leads, each sheet shows the map that stands for it.
     if not leading:
         leading = [*chain.from_iterable(sheet["leading"] for sheet in sheets)]
     blocks = [
@@ -176,7 +180,7 @@ def render_report(
 
 
 def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
-    """Draw all that is shown of a sheet.
+    """Draw all that is shown of a sheet, by the names that the template has for it.
 
     None for an image, and for a sheet whose groups are elsewhere.
     """
@@ -187,7 +191,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
         return None
     surfaces = sheet_data["surfaces"]
     strain = sheet_data["strain"]
-    height = surfaces["centre"].values
+    height_um = surfaces["centre"].values
     rim_um = facts.surfaces.rim_um or 0.0
     draw_maps = partial(
         maps.draw_maps, sheet_data["maps"], facts.properties, headline=layer.headline, rim_um=rim_um
@@ -195,7 +199,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
     return {
         "layer": layer,
         "trust": partial(trust_of, run_maps.results.checks, (layer.name,)),
-        "warp_um": float(np.nanmax(height) - np.nanmin(height)),
+        "warp_um": float(np.nanmax(height_um) - np.nanmin(height_um)),
         "slices": slices.draw_slices(sheet_data["slices"], surfaces),
         "warp": flattening.draw_flattening(
             surfaces, sheet_data["flat"], strain, facts.flatten.curvature
@@ -209,7 +213,11 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
 def _registration_section(
     run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None
 ) -> Entries | None:
-    """Draw how a layer lies on the reference; None where it is not known, or maps are elsewhere."""
+    """Draw how a layer lies on the reference, by the names that the template has for it.
+
+    None where it is not known, or maps are elsewhere. ``marks`` are those of
+    :func:`write_report`, None where the layer has none.
+    """
     r = registration.judged(layer.registration)
     results = run_maps.results
     reference_layer = results.reference
@@ -217,20 +225,22 @@ def _registration_section(
     reference_maps = run_maps.drawn.get(reference_layer.name)
     if r is None or layer_maps is None or reference_maps is None:
         return None
-    if marks is not None and not marks.sizes["mark"]:
+    if marks is not None and not marks.sizes["mark"]:  # registered by texture alone
         marks = None
     reference_map = reference_maps[reference_layer.headline]
     map_texts = (
         _map_in_words(layer_maps[layer.headline], layer),
         _map_in_words(reference_map, reference_layer),
     )
+    # Where a coating is thin shows on an image; other layers stand side by side.
     is_outlined = reference_layer.kind == "image" and layer.kind == "sheet"
     basis = run_maps.basis
     if is_outlined:
         valid = layer_maps["valid"]
         if "valid" in reference_maps:
             valid = valid & reference_maps["valid"]
-        thin_um = float(results.parameters.get("correlate", {}).get("thin_um", 5.0))
+        options = results.parameters.get("correlate", {})
+        thin_um = float(options.get("thin_um", 5.0))
         with_image = layer_maps.assign(image=reference_map, valid=valid)
         linked_pictures = maps.draw_outlines(
             with_image, name=layer.headline, thin_um=thin_um, basis=basis
@@ -261,20 +271,24 @@ def _registration_pictures(
     layer: LayerFacts,
     r: RegistrationFacts,
     marks: xr.Dataset | None,
-    map_texts: tuple[str, str],
+    map_texts: text.TwoTexts,
 ) -> list[Picture]:
-    """Draw a layer's residuals, expected error and lags of tiles.
+    """Draw a layer's residuals, expected error and lags of tiles, as far as they are known.
 
-    ``map_texts``: its map and the reference's.
+    ``map_texts``: in words, its map and the reference's.
     """
     results = run_maps.results
     reference = results.reference.name
-    width = FULL if len(results.layers) == 2 else HALF
-    least_um, most_um = results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))
-    hole_um = (least_um + most_um) / 2
+    width = HALF
+    if len(results.layers) == 2:
+        width = FULL
+    options = results.parameters.get("holes", {})
+    least_um, most_um = options.get("hole_um", (100.0, 300.0))
+    hole_um = (least_um + most_um) / 2  # diameter with which marks are drawn
     ground = _ground_of(run_maps, layer)
     lags = registration.draw_lags(r.lag, ground, map_texts=map_texts)
     pictures: list[Picture | None] = []
+    # A layer may be registered to another one that is not the reference: its marks lie on that.
     is_on_reference = r.to == reference
     if marks is not None:
         marks_ground = ground
@@ -286,11 +300,11 @@ def _registration_pictures(
         pictures.append(residuals)
     layer_maps = run_maps.drawn[layer.name]
     if "expected_error" in layer_maps:
+        # Alone it takes the whole width, beside another figure half of it.
         errors = registration.draw_expected_error(
             layer_maps["expected_error"],
             marks if is_on_reference else None,
             hole_um=hole_um,
-            # Alone it takes the whole width, beside another figure half of it.
             width=width if lags is None else HALF,
             reference=reference,
             layer=layer.name,
@@ -306,6 +320,7 @@ def _ground_of(run_maps: maps.RunMaps, layer: LayerFacts) -> registration.Ground
     valid = None
     if "valid" in layer_maps and reference.kind == "image":
         valid = layer_maps["valid"].values.astype(bool)
+    # The edge of a layer is that of a map that has values wherever the layer is.
     edge_names = ("u", "image", "thickness", *layer_maps.data_vars)
     edge_name = next(name for name in edge_names if name in layer_maps)
     edge = layer_maps[edge_name].notnull()
@@ -333,8 +348,9 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 
 
 def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
-    with_layers = len(run_maps.results.layers) > 2 or pair.coarse.a_map == pair.coarse.b_map
-    titles = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
+    row = pair.coarse
+    with_layers = len(run_maps.results.layers) > 2 or row.a_map == row.b_map
+    titles = summary.titles_of(row, run_maps.titles, with_layers=with_layers)
     return draw_pair(pair, names=titles, basis=run_maps.basis)
 
 
@@ -345,17 +361,22 @@ def _evidence_section(
     is_same_map = e.a_map == e.b_map
     map_titles: list[str] = []
     for curve in e.variograms:
-        layer_text = f", {curve.layer}" if is_same_map else ""
-        map_titles.append(run_maps.titles.get((curve.layer, curve.map), curve.map) + layer_text)
-    titles_text = summary.names_in_words(e, run_maps.titles)
-    names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
+        map_title = run_maps.titles.get((curve.layer, curve.map), curve.map)
+        if is_same_map:
+            map_title = f"{map_title}, {curve.layer}"
+        map_titles.append(map_title)
+    names = summary.names_in_words(e, run_maps.titles)
+    first_title, second_title = names
+    if is_same_map:
+        names = (f"{first_title} of {e.a}", f"that of {e.b}")
     sections: tuple[Section, ...] = ("scale", "distance", "repeated", "light")
     figures: dict[Section, list[Picture]] = {section: [] for section in sections}
     pair = pairs.get(summary.key_of(e))
     for section, picture in _evidence_pictures(run_maps, e, pair, names, map_titles):
         figures[section].append(picture)
-    point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
-    wording = Wording(point_um, titles_text[1], tuple(map_titles))
+    options = run_maps.results.parameters.get("correlate", {})
+    point_um = float(options.get("point_um", "nan"))
+    wording = Wording(point_um, second_title, tuple(map_titles))
     section_sentences = {section: [*sentences(e, section, wording)] for section in figures}
     return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": section_sentences}
 
@@ -364,10 +385,13 @@ def _evidence_pictures(
     run_maps: maps.RunMaps,
     e: EvidenceFacts,
     pair: MapPair | None,
-    names: tuple[str, str],
+    names: text.TwoTexts,
     map_titles: Sequence[str],
 ) -> Iterator[tuple[Section, Picture]]:
-    """Draw what is known of two maps beside their r; each figure comes with its section."""
+    """Draw what is known of two maps beside their r; each figure comes with its section.
+
+    ``names``: both maps in a sentence; ``map_titles``: titles of the maps of ``e.variograms``.
+    """
     basis = run_maps.basis
     titles = summary.titles_of(e, run_maps.titles)
     if e.sizes or e.bands:
@@ -378,7 +402,8 @@ def _evidence_pictures(
         yield "distance", diagnostics.draw_correlogram(e.correlogram, names=names, basis=basis)
     if e.agreement is not None and e.agreement.rings:
         name = in_words(titles[0])
-        rings = diagnostics.draw_rings(e.agreement, name=name, layers=(e.a, e.b), basis=basis)
+        layers = (e.a, e.b)
+        rings = diagnostics.draw_rings(e.agreement, name=name, layers=layers, basis=basis)
         yield "repeated", rings
     curve = e.kubelka_munk
     if curve is not None and is_known(curve.scattering) and pair is not None:
@@ -389,15 +414,20 @@ def _evidence_pictures(
 
 def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
     data = maps[name].astype(np.float64)
-    return data.where(maps["valid"].values.astype(bool)) if "valid" in maps else data
+    if "valid" not in maps:
+        return data
+    return data.where(maps["valid"].values.astype(bool))
 
 
 def _map_in_words(map_data: xr.DataArray, layer: LayerFacts) -> str:
+    """Name a map by its title, or an image by its layer; a layer's own name stands behind both."""
     layer_text = with_article(layer.name)
-    title = in_words(text.title_of(map_data))
     if layer.kind == "image":
         return layer_text
-    return title if layer_text != layer.name else f"{title} of {layer.name}"
+    title = in_words(text.title_of(map_data))
+    if layer_text != layer.name:
+        return title
+    return f"{title} of {layer.name}"
 
 
 def standalone(picture: Picture) -> str:

@@ -27,8 +27,10 @@ def reading(results: Results) -> list[str]:
     Nothing where no r leads or it is withheld.
     """
     rows = lead_pair(results)
-    row = largest(rows) if rows else None
-    if row is None or row.trust == "withheld" or not is_known(row.r2):
+    if not rows:
+        return []
+    row = largest(rows)
+    if row.trust == "withheld" or not is_known(row.r2):
         return []
     limits = r2_limits(row)
     limits_text = ""
@@ -45,6 +47,7 @@ def reading(results: Results) -> list[str]:
 
 
 def _limit_text(evidence: EvidenceFacts | None) -> str:
+    """Say how high r could be; empty where no attenuation limit is known."""
     if evidence is None or evidence.attenuation_limit is None:
         return ""
     highest = evidence.attenuation_limit_both
@@ -59,17 +62,18 @@ def _limit_text(evidence: EvidenceFacts | None) -> str:
 
 
 def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> str:
-    """Say that long waves change r, where that is certain."""
-    short_waves = None if evidence is None else evidence.short_waves
-    limit_um = None if evidence is None else evidence.short_waves_um
-    if short_waves is None or not is_known(short_waves.interval) or not limit_um:
+    """Say that long waves change r, where that is certain; elsewhere empty."""
+    if evidence is None or evidence.short_waves is None or not evidence.short_waves_um:
+        return ""
+    short_waves = evidence.short_waves
+    if not is_known(short_waves.interval):
         return ""
     low, high = short_waves.interval
     if low <= row.r <= high:
         return ""
     change = "lower" if abs(short_waves.r) > abs(row.r) else "raise"
     return (
-        f"Waves below {plain(round(limit_um, -1))} alone have r ="
+        f"Waves below {plain(round(evidence.short_waves_um, -1))} alone have r ="
         f" {fixed(short_waves.r, 2)}: longer ones, of the sheet or of its light, {change} it."
     )
 
@@ -79,21 +83,25 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts) -> Iterat
 
     Then the strain.
     """
-    lag = None if moving.registration is None else moving.registration.lag
+    lag = None
+    if moving.registration is not None:
+        lag = moving.registration.lag
     if lag is not None and is_known(lag.light):
         weight = "side light affects r" if lag.light >= SIDE_LIGHT else "too little to affect r"
         yield (
             f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as"
             f" under light from one side: {weight}."
         )
-    profiles = None if evidence is None else evidence.correlogram
-    if lag is not None and profiles is not None and profiles.inner:
-        yield _lag_text(lag, profiles)
+    if lag is not None and evidence is not None:
+        profiles = evidence.correlogram
+        if profiles is not None and profiles.inner:
+            yield _lag_text(lag, profiles)
     if moving.sheet is not None:
         yield from _strain_text(moving.sheet.flatten)
 
 
 def _strain_text(flatten: FlatteningQuality) -> Iterator[str]:
+    """Compare the strain of flattening with what paper withstands."""
     strain = flatten.edge_strain_p95
     limit = flatten.curvature.limit
     if is_known(strain):
@@ -116,7 +124,9 @@ def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
             f"{peak} The fine texture does not tell whether that is an error of the registration."
         )
     expected_text = length(lag.expected_um, 2)
-    light_text = ", slopes allowed for" if is_known(lag.light) else ""
+    light_text = ""
+    if is_known(lag.light):
+        light_text = ", slopes allowed for"
     texture = f"The fine texture lies {length(lag.length_um, 2)} apart{light_text}"
     if not lag.agrees:
         return f"{peak} {texture}, where {expected_text} are expected: see Registration."

@@ -33,7 +33,7 @@ from planish.report.draw import (
     pixel_of,
     reduced,
 )
-from planish.report.text import title_of
+from planish.report.text import TwoTexts, title_of
 from planish.results import RegistrationFacts
 
 ARROW = "#ff5238"
@@ -321,9 +321,7 @@ def draw_expected_error(
     return canvas.picture("Expected error", caption)
 
 
-def draw_lags(
-    lag: LagNumbers | None, ground: Ground, *, map_texts: tuple[str, str]
-) -> Picture | None:
+def draw_lags(lag: LagNumbers | None, ground: Ground, *, map_texts: TwoTexts) -> Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one.
 
     None where there are none.

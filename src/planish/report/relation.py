@@ -23,7 +23,8 @@ from planish.core.numbers import (
     to_spread,
     unit,
 )
-from planish.report.colours import PROPERTY, Array, Scale
+from planish.core.typing import Pair
+from planish.report.colours import Array, Scale
 from planish.report.draw import (
     ACCENT,
     FULL,
@@ -41,15 +42,20 @@ from planish.report.draw import (
     pitch,
 )
 from planish.report.statement import point_of, r_sentence
-from planish.report.text import BASIS, Basis, unit_of
+from planish.report.text import Basis, TwoTexts, unit_of
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = TypeVar("Row", CorrelationRow, ComparisonRow)
 Points = tuple[Array, Array]  # values of two maps at the same larger points
-_BINS, _LEAST_BINS = 110, 24
-# Pixels of two pairs of axes, side by side.
-LEFT, RIGHT, WIDE = 85.0, 635.0, 400.0
-_TOP, _HIGH = 62.0, 355.0
+# Cells of a plot of densities along either axis
+_BINS = 110
+_LEAST_BINS = 24
+# Pixels of two pairs of axes, side by side: left edges of both, width, upper edge and height.
+LEFT = 85.0
+RIGHT = 635.0
+WIDE = 400.0
+_TOP = 62.0
+_HIGH = 355.0
 
 
 @dataclass(frozen=True)
@@ -97,16 +103,16 @@ def block_means(
 ) -> Points:
     """Average two maps (y, x) on one grid over points of ``point_um``.
 
-    The averages are over the pixels that are known in both.
+    The averages, two arrays (n,), are over the pixels that are known in both.
 
-    ``valid`` are masks of pixels that count. Points less than half known do not count; none are
-    smaller than pixels.
+    ``valid`` are masks of pixels that count. Points less than half known do not count; there are
+    none where they would be smaller than pixels.
     """
-    down, across = (point_um / pitch(values) for values in axes_of(a))
+    down, across = (point_um / pitch(values) for values in axes_of(a))  # pixels of a point
     if min(down, across) < 1 - 1e-9:
         return np.empty(0), np.empty(0)
     factor = (max(down, 1.0), max(across, 1.0))
-    first, second = common_means((a, b), factor, masks=valid)
+    first, second = common_means((a, b), factor, masks=valid)  # NaN where less than half is known
     is_valid = np.isfinite(first) & np.isfinite(second)
     return first[is_valid], second[is_valid]
 
@@ -114,20 +120,21 @@ def block_means(
 def draw_pair(
     pair: MapPair,
     *,
-    names: tuple[str, str],
-    basis: Basis = BASIS,
+    names: TwoTexts,
+    basis: Basis,
 ) -> Picture:
     """Draw map b over map a as the density of the pixels.
 
     Beside it are larger points or the difference of the two.
 
     The difference of two maps of the same quantity is drawn over their mean, with its mean and the
-    limits that hold 95 % of normal differences (Bland and Altman 1986).
+    limits that hold 95 % of normal differences (Bland and Altman 1986). ``names``: titles of both
+    maps.
     """
-    stride, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
+    stride, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)  # pixels of a, b and the masks
     is_valid = valid_in_all((p, q), masks)
     units = (unit_of(pair.a), unit_of(pair.b))
-    rows = (pair.rows[0], pair.coarse)
+    rows = (pair.rows[0], pair.coarse)  # of the pixels, and of the larger points
     points, (fine, coarse), units, labels = as_drawn(pair.points, rows, names, units, pair.density)
     if pair.density is not None:
         p = p * pair.density
@@ -153,7 +160,9 @@ def draw_pair(
         canvas.ticks(axes, *labels)
         numbers_text = _correlation_text(row, units)
         _draw_heading(canvas, axes.x, f"Points of {point_of(row)}", numbers_text)
-    stride_text = f", one in {stride} of each row and column" if stride > 1 else ""
+    stride_text = ""
+    if stride > 1:
+        stride_text = f", one in {stride} of each row and column"
     caption = (
         f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts"
         " when half of its area is valid in both maps. Lines are least squares: solid, y on x;"
@@ -166,22 +175,30 @@ def draw_pair(
     return canvas.picture(title, caption, {"points": points_table(points, labels)})
 
 
-def draw_points(
-    pair: MapPair, *, names: tuple[str, str], height: float, registered: str
-) -> Picture:
-    """Draw the larger points of two maps on a third of the page, with both least-squares lines."""
+def draw_points(pair: MapPair, *, names: TwoTexts, height: float, registered: str) -> Picture:
+    """Draw the larger points of two maps on a third of the page, with both least-squares lines.
+
+    ``names``: titles of both maps; ``height``: of the figure in pixels, at least; ``registered``:
+    what registered the maps, in words.
+    """
     units = (unit_of(pair.a), unit_of(pair.b))
     rows = (pair.coarse,)
     points, (row,), _, labels = as_drawn(pair.points, rows, names, units, pair.density)
     canvas = Canvas(THIRD, max(height, 300.0))
     size_text = point_of(row)
-    axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar_px=55)
+    box = (76.0, 42.0, THIRD - 82, canvas.height - 92)
+    axes = draw_dots(canvas, points, box, bar_px=55)
     _draw_lines(axes, row)
     canvas.ticks(axes, *labels)
-    canvas.text(axes.x, 18, r_sentence(row) if is_known(row.r) else "no correlation", bold=True)
+    heading = r_sentence(row) if is_known(row.r) else "no correlation"
+    canvas.text(axes.x, 18, heading, bold=True)
     canvas.text(axes.x, 34, f"n = {count(row.n)} points of {size_text}", size=SMALL, colour=SOFT)
-    n_eff_text = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
-    doubt_text = " Doubtful: see the checks." if row.trust == "doubtful" else ""
+    n_eff_text = ""
+    if is_known(row.n_eff):
+        n_eff_text = f", {count(round(row.n_eff))} of them independent"
+    doubt_text = ""
+    if row.trust == "doubtful":
+        doubt_text = " Doubtful: see the checks."
     caption = (
         f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in"
         " both maps. Lines of least squares: solid, y on x; dashed, x on y."
@@ -194,16 +211,16 @@ def draw_points(
 def as_drawn(
     points: Points,
     rows: Sequence[CorrelationRow],
-    titles: tuple[str, str],
-    units: tuple[str, str],
+    titles: TwoTexts,
+    units: TwoTexts,
     density: float | None,
-) -> tuple[Points, Sequence[CorrelationRow], tuple[str, str], list[str]]:
-    """Return points, correlations and units as the axes of a figure have them.
+) -> tuple[Points, Sequence[CorrelationRow], TwoTexts, list[str]]:
+    """Return points, correlations and units of two maps as the axes of a figure have them.
 
-    Also returns the labels of its axes.
+    Also returns the labels of its axes, from the titles.
 
     With a density (g/cm3), which its label states, the first map, a thickness in um, is a weight:
-    um x g/cm3 = g/m2.
+    um x g/cm3 = g/m2. Without one all is returned as it is.
     """
     if density is not None:
         weight_title = titles[0].replace("Coating thickness", "Coating")
@@ -236,7 +253,8 @@ def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
     slope = row.slope_x_on_y
     if slope and is_known(row.slope) and is_known(slope) and is_known(row.mean_a):
         y = np.array(axes.extent[2:])
-        draw_fit(axes, row.mean_a + slope * (y - row.mean_b), y, dash="7 4")
+        x = row.mean_a + slope * (y - row.mean_b)
+        draw_fit(axes, x, y, dash="7 4")
 
 
 def draw_slope(axes: Axes, row: CorrelationRow) -> None:
@@ -261,12 +279,17 @@ def draw_fit(
 
 
 def largest(rows: Sequence[Row]) -> Row:
-    """Return the row of the largest points that there are any of."""
-    return max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
+    """Return the row of the largest points that there are any of; without points, of all rows."""
+    rows_with_points = [row for row in rows if row.n]
+    return max(rows_with_points or rows, key=lambda row: row.point_um)
 
 
 def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
-    """Draw the differences of two maps of one quantity by their mean, with bias and limits."""
+    """Draw the differences of two maps of one quantity by their mean, with bias and limits.
+
+    ``a``, ``b`` (n,): both maps at the same points; ``row`` holds the statistics of b less a, and
+    ``units`` are theirs where the row names none.
+    """
     means = (a + b) / 2
     differences = b - a
     units = unit(row.units or "") or units
@@ -276,7 +299,8 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
         margin = 0.04 * (high - low)
         low = min(low, *line_levels) - margin
         high = max(high, *line_levels) + margin
-    axes = canvas.axes(RIGHT, _TOP, WIDE, _HIGH, (*_axis_limits(means), low, high))
+    extent = (*_axis_limits(means), low, high)
+    axes = canvas.axes(RIGHT, _TOP, WIDE, _HIGH, extent)
     axes.across(0.0, width=1)
     size = 3 if means.size > 2000 else 4.4
     axes.dots(means, differences, colour=POINT, size=size, opacity=0.5)
@@ -306,7 +330,8 @@ def draw_dots(
 ) -> Axes:
     """Draw larger points one by one.
 
-    Where they are many and there is room for a colour ``bar_px``, their density.
+    Where they are many and there is room for a colour bar, of ``bar_px`` to the right of the axes,
+    their density.
     """
     if bar_px and points[0].size > 5000:
         x, y, width, height = box
@@ -314,20 +339,27 @@ def draw_dots(
         return _draw_density(canvas, box, points, counted_text="points")
     x_limits, y_limits = (_axis_limits(values, 0.0) for values in points)
     axes = canvas.axes(*box, (*x_limits, *y_limits))
-    dot_px, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
+    dot_px, opacity = 4.6, 0.7
+    if points[0].size > 2000:
+        dot_px, opacity = 3, 0.5
     axes.dots(*points, colour=colour, size=dot_px, opacity=opacity)
     return axes
 
 
 def _draw_density(canvas: Canvas, box: Box, points: Points, *, counted_text: str) -> Axes:
-    """Draw how many points fall into each cell of a plot, on logarithmic colours."""
+    """Draw how many points fall into each cell of a plot, on logarithmic colours.
+
+    ``counted_text``: what is counted, above the colour bar.
+    """
     x_limits, y_limits = map(_axis_limits, points)
     left_px, top_px, width, height = box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
     columns, *_ = np.histogram2d(*points, bins=bins, range=(x_limits, y_limits))
-    counts = columns.T[::-1]
-    scale = Scale(0.0, float(np.log10(counts.max(initial=10.0))), PROPERTY)
-    logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
+    counts = columns.T[::-1]  # (y, x), as rows of an image from the largest y on
+    highest_log = float(np.log10(counts.max(initial=10.0)))
+    scale = Scale(0.0, highest_log)
+    logs = np.full_like(counts, np.nan)
+    np.log10(counts, out=logs, where=counts > 0)
     axes = canvas.axes(*box, (*x_limits, *y_limits))
     axes.image(ShownMap(logs, axes.extent), scale, missing="#ffffff")
     bar_px = left_px + width + 8
@@ -341,18 +373,21 @@ def _draw_heading(canvas: Canvas, left_px: float, title: str, numbers_text: str)
     canvas.text(left_px, 43, numbers_text)
 
 
-def _axis_limits(values: Array, percent: float = 0.05) -> tuple[float, float]:
+def _axis_limits(values: Array, percent: float = 0.05) -> Pair:
+    """Ends of an axis over all values but ``percent`` of them at either end, with a margin."""
     if values.size == 0:
         return 0.0, 1.0
-    low, high = map(float, np.percentile(values, [percent, 100 - percent]))
+    low, high = np.percentile(values, [percent, 100 - percent]).tolist()
     margin = 0.04 * (high - low) or 0.5
     return low - margin, high + margin
 
 
-def _correlation_text(row: CorrelationRow, units: tuple[str, str]) -> str:
+def _correlation_text(row: CorrelationRow, units: TwoTexts) -> str:
+    """Write r, n and the slope of y on x, which is without a unit where both have the same."""
     if not is_known(row.r):
         return "no correlation: too few points, or a constant map"
+    x_unit, y_unit = units
     unit_text = ""
-    if units[0] and units[0] != units[1]:
-        unit_text = f" {units[1]}".rstrip() + f" per {units[0]}"
+    if x_unit and x_unit != y_unit:
+        unit_text = f" {y_unit}".rstrip() + f" per {x_unit}"
     return f"{r_sentence(row)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{unit_text}"

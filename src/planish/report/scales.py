@@ -1,10 +1,7 @@
 """The page of octaves of maps, its figures and its tables; one file that needs nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from planish.analyze.scales import Scales
 from planish.core.facts import is_known
@@ -19,8 +16,9 @@ from planish.core.numbers import (
     plain,
     unit,
 )
-from planish.core.typing import Pair
-from planish.report.answer import answer_page
+from planish.core.tables import grouped
+from planish.core.typing import Entries, Pair
+from planish.report.answer import WordTables, answer_page
 from planish.report.diagnostics import draw_log_axes
 from planish.report.draw import (
     HALF,
@@ -46,7 +44,11 @@ from planish.report.sentences.scales import (
 from planish.report.summary import KeyFigure
 from planish.report.text import HOLES
 
-_LEFT, _TOP, _WIDE, _HIGH = 74.0, 16.0, 416.0, 200.0
+# Pixels of the axes: left and upper edge, width and height
+_LEFT = 74.0
+_TOP = 16.0
+_WIDE = 416.0
+_HIGH = 200.0
 _MOST_NAMED = 3  # maps in the heading
 
 
@@ -58,12 +60,14 @@ def scales_page(octaves: Scales, *, source: str, version: str) -> str:
     return answer_page(scales_section(octaves), source=source, version=version)
 
 
-def scales_section(octaves: Scales | None) -> dict[str, Any]:
+def scales_section(octaves: Scales | None) -> Entries:
     """Give what page and report show of octaves; nothing of none."""
     if octaves is None:
         return {}
     titles = [in_words(facts.title) for facts in octaves.maps.values()]
-    about = ", ".join(titles) if len(titles) <= _MOST_NAMED else f"{len(titles)} maps"
+    about = f"{len(titles)} maps"
+    if len(titles) <= _MOST_NAMED:
+        about = ", ".join(titles)
     if octaves.against is not None:
         about += f" against {in_words(octaves.against_title)}"
     return {
@@ -81,12 +85,12 @@ def scales_section(octaves: Scales | None) -> dict[str, Any]:
 
 
 def tiles_of(octaves: Scales) -> list[KeyFigure]:
-    """What the octaves of the first map rest on."""
-    name = leading(octaves)[0] if octaves.maps else ""
-    if not octaves.bands.get(name):
+    """What the octaves of the first map rest on; nothing where it has none."""
+    name = next(iter(leading(octaves)), "")
+    bands = octaves.bands.get(name)
+    if not bands:
         return []
     facts = octaves.maps[name]
-    bands = octaves.bands[name]
     named = leading_band(octaves, bands)
     height, width = facts.field_um or (math.nan, math.nan)
     waves_text = f"{plain(bands[-1].low_um)} to {plain(bands[0].high_um)}"
@@ -105,14 +109,18 @@ def tiles_of(octaves: Scales) -> list[KeyFigure]:
     return tiles
 
 
-def band_tables(octaves: Scales) -> dict[str, list[dict[str, str]]]:
-    """The octaves of all maps in words, the shortest waves first, as tables by their headings."""
+def band_tables(octaves: Scales) -> WordTables:
+    """The octaves of all maps in words, the shortest waves first, as tables by their headings.
+
+    A column stands there where any octave has a value for it, and the table of the relation with
+    the other map where any has a gain.
+    """
     shown = [
         (octaves.maps[name], band) for name, bands in octaves.bands.items() for band in bands[::-1]
     ]
     fields = ("cov", "noise", "formation", "gain")
     has = {key for key in fields for _, band in shown if is_known(getattr(band, key))}
-    tables: dict[str, list[dict[str, str]]] = {}
+    tables: WordTables = {}
     for facts, band in shown:
         row = {
             "Map": axis_label(facts.title, unit(facts.units)),
@@ -153,15 +161,15 @@ def tables_of(octaves: Scales) -> dict[str, Table]:
 
 
 def pictures_of(octaves: Scales) -> list[Picture]:
-    """Figures: the relation with the other map first, then how much maps vary by octave."""
+    """Figures: the relation with the other map first, then how much maps vary by octave.
+
+    Maps with a coefficient of variation share a figure, and others those of their unit.
+    """
     pictures: list[Picture] = []
     if octaves.against is not None:
         pictures.append(draw_relation(octaves))
-    groups: dict[str, list[str]] = {}
-    for name, bands in octaves.bands.items():
-        if bands:
-            has_cov = is_known(bands[0].cov)
-            groups.setdefault("%" if has_cov else octaves.maps[name].units, []).append(name)
+    has_cov = {name: is_known(bands[0].cov) for name, bands in octaves.bands.items() if bands}
+    groups = grouped(has_cov, lambda name: "%" if has_cov[name] else octaves.maps[name].units)
     pictures += [draw_spread(octaves, names, is_cov=key == "%") for key, names in groups.items()]
     return pictures
 
@@ -169,7 +177,8 @@ def pictures_of(octaves: Scales) -> list[Picture]:
 def draw_spread(octaves: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
     """Draw how much maps vary in each octave: COV, or their standard deviation in one unit."""
     factors = dict.fromkeys(names, 1.0)
-    label = axis_label("standard deviation", unit(octaves.maps[names[0]].units))
+    first_map = octaves.maps[names[0]]
+    label = axis_label("standard deviation", unit(first_map.units))
     if is_cov:
         factors = {name: 100 / octaves.maps[name].mean for name in names}
         label = "coefficient of variation / %"
@@ -224,12 +233,19 @@ def _draw_octaves(
 ) -> Axes:
     """Draw one field of octaves with their intervals, those of the maps side by side.
 
-    ``place``: top and height of the axes, which are returned; they hold 0. ``factors``: of the
-    values of each map.
+    ``place``: top and height of the axes in pixels; ``factors``: what the values of each map are
+    multiplied by; ``key``: name of the field, ``sd``, ``gain`` or ``coherence``. The axes, which
+    are returned, hold 0.
     """
-    interval_key = "interval" if key == "sd" else f"{key}_interval"
+    interval_key = f"{key}_interval"
+    if key == "sd":
+        interval_key = "interval"
+    # Map, where its interval stands within an octave, ends of the octave as logarithms of um,
+    # value and its interval.
     shown: list[tuple[str, float, Pair, float, list[float]]] = []
-    ends = [0.0, 1.0] if key == "coherence" else [0.0]
+    ends = [0.0]
+    if key == "coherence":
+        ends.append(1.0)
     for index, (name, factor) in enumerate(factors.items(), 1):
         share = index / (len(factors) + 1)
         for band in octaves.bands[name]:
@@ -239,9 +255,12 @@ def _draw_octaves(
             shown.append((name, share, waves_log, value, interval))
             ends += filter(is_known, (value, *interval))
     low, high = with_margin(ends)
+    if min(ends) >= 0:
+        low = 0.0
     edges = [edge for _, _, waves_log, _, _ in shown for edge in waves_log]
-    extent = (min(edges) - 0.03, max(edges) + 0.03, low if min(ends) < 0 else 0.0, high)
-    axes = canvas.axes(_LEFT, place[0], _WIDE, place[1], extent)
+    top, height = place
+    extent = (min(edges) - 0.03, max(edges) + 0.03, low, high)
+    axes = canvas.axes(_LEFT, top, _WIDE, height, extent)
     axes.across(0.0)
     colours = colours_of(octaves.bands)
     for name, share, (left, right), value, interval in shown:
@@ -257,8 +276,9 @@ def _draw_octaves(
 
 
 def _intervals_of(octaves: Scales, names: Sequence[str]) -> str:
-    """How a caption ends."""
-    counts = {octaves.maps[name].n or 0 for name in names}
-    n_text = " to ".join(count(n) for n in sorted({min(counts), max(counts)}))
+    """How a caption ends: what the lines are, how many pixels maps have, and the mask."""
+    counts = [octaves.maps[name].n or 0 for name in names]
+    least_and_most = sorted({min(counts), max(counts)})
+    n_text = " to ".join(map(count, least_and_most))
     mask = f"mask: measured, without {HOLES}"
     return f"Vertical lines: 95 % intervals. n = {n_text} pixels; {mask}."

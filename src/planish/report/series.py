@@ -88,18 +88,23 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
 def _specimen_line(
     specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
 ) -> Entries:
-    """Return what the table shows of one specimen.
+    """Return what the table shows of one specimen, by the names that the template has for it.
 
-    Its cells are texts, each with a word of doubt.
+    ``columns``: numbers of the quantities that have a column. Cells are texts, each with a word of
+    doubt; the link leads to the specimen's own page and is empty where there is no run.
     """
     cells = [(NONE, "")] * len(columns)
     for k, cell in enumerate(specimen.cells[: len(columns)]):
         # A word below a figure that is not used like the others.
-        doubt_text = "" if cell.trust == "ok" else cell.trust
-        if cell.trust == "ok" and cell.why_not.startswith(("too few", "points of")):
+        doubt_text = ""
+        if cell.trust != "ok":
+            doubt_text = cell.trust
+        elif cell.why_not.startswith(("too few", "points of")):
             doubt_text = cell.why_not
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt_text
-    link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
+    link = ""
+    if specimen.kind is not None:
+        link = f"{quote(specimen.member.run or '')}/report.html"
     return {
         "specimen": specimen,
         "link": link,
@@ -123,7 +128,10 @@ _STATISTICS = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin s
 
 
 def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
-    """Orders of the table of specimens, each with its name; those that change nothing are out."""
+    """Orders of the table of specimens, each with its name; those that change nothing are out.
+
+    An order is the numbers of the specimens, from the first row on; there are nine at most.
+    """
     orders = [("as listed", list(range(len(results.specimens))))]
     for name, keys in _sort_keys(results, factors):
         order = sorted(range(len(results.specimens)), key=keys.__getitem__)
@@ -184,7 +192,7 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
         return SmallMap(specimen)
     height_um, width_um = (np.size(axis) * abs(pitch(axis)) for axis in axes_of(data))
     ratio = min(1.0, width_um / height_um)
-    shown = reduced(data, width=pixels * ratio / 1.35)
+    shown = reduced(data, width=pixels * ratio / 1.35)  # of 1.35 pixels in one CSS pixel
     values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
     shown = ShownMap(values, shown.extent)
     return SmallMap(specimen, shown, text.title_of(data), text.unit_of(data))
@@ -195,8 +203,8 @@ def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
 
     The colours go from the 1st to the 99th percentile of all of them.
 
-    ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens
-    without.
+    Of what is given, ``images`` are specimen, address, width and height in CSS pixels, ``missing``
+    the specimens without a map, and ``bar`` the figure of both scales, where there are images.
     """
     shown_maps: dict[str, ShownMap] = {}
     missing: list[str] = []
@@ -228,12 +236,17 @@ def _tile_maps(maps: Sequence[SmallMap]) -> Entries:
 
 
 def draw_groups(results: SeriesResults, k: int) -> Picture | None:
-    """Draw one quantity of every sheet, by group, with the mean over sheets and its interval."""
+    """Draw one quantity of every sheet, by group, with the mean over sheets and its interval.
+
+    ``k``: number of the quantity. None where fewer than two fields have it.
+    """
     q = results.quantities[k]
     groups = [group for group in results.groups if group.quantity == k and group.fields]
     if sum(group.fields for group in groups) < 2:
         return None
-    factor = 100.0 if q.what == "thin_share" else 1.0
+    factor = 1.0
+    if q.what == "thin_share":
+        factor = 100.0  # per cent
     values = [_values(results, group) for group in groups]
     plotted = [value for group_values in values for _, value in group_values]
     for group in groups:
@@ -262,7 +275,11 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
 def _draw_group(
     axes: Axes, group: GroupFacts, values: Sequence[tuple[str, float]], y: float, factor: float
 ) -> None:
-    """Draw the specimens, the sheets and the mean of a group, one below the other."""
+    """Draw the specimens, the sheets and the mean of a group, one below the other.
+
+    ``values``: sheet and value of each specimen; ``y``: middle of the row, which is 1 high;
+    ``factor`` turns values into the unit of the axis.
+    """
     sheets: dict[str, list[float]] = {}
     for sheet, value in values:
         sheets.setdefault(sheet, []).append(value * factor)
@@ -284,9 +301,8 @@ def _short_label(group: Mapping[str, str]) -> str:
     # Of each level, and what shorter ones leave over.
     letters = max(max_letters // len(group) - 3, 4)
     letters += sum(max(letters - len(level), 0) for level in group.values())
-    return words.label(
-        {
-            factor: level if len(level) <= letters else f"{level[: letters - 1]}…"
-            for factor, level in group.items()
-        }
-    )
+    short_levels = dict(group)
+    for factor, level in group.items():
+        if len(level) > letters:
+            short_levels[factor] = f"{level[: letters - 1]}…"
+    return words.label(short_levels)

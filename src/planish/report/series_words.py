@@ -25,7 +25,8 @@ from planish.report.summary import KeyFigure
 from planish.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
 
 _LED = 2  # differences of one quantity in the first sentences
-_CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
+_CLOSE = 0.995  # r of two measurements of one quantity
+_OF_CLOSE = 5  # its decimals
 _NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
     "whole": "complete",
@@ -37,7 +38,10 @@ _STATES = {
 
 
 def lead(results: SeriesResults) -> str:
-    """State the result of a series in a sentence with its interval."""
+    """State the result of a series in a sentence with its interval.
+
+    That is differences where something is compared, else the means of the first group.
+    """
     if not any(specimen.kind for specimen in results.specimens):
         return f"No specimen has a run that can be read. {states(results)}"
     if results.differences:
@@ -77,8 +81,10 @@ def states(results: SeriesResults) -> str:
     """Say what became of the specimens."""
     counts = Counter(member.state for member in results.members)
     total = len(results.specimens)
+    if counts["whole"] == total == 1:
+        return "The specimen is complete."
     if counts["whole"] == total:
-        return f"All {total} specimens are complete." if total > 1 else "The specimen is complete."
+        return f"All {total} specimens are complete."
     texts = [f"{counts[state]} {text}" for state, text in _STATES.items() if counts[state]]
     return f"Of {total} specimens, {', '.join(texts)}."
 
@@ -95,7 +101,8 @@ def light_of(results: SeriesResults) -> str:
 def value(v: float | None, q: Quantity, limits: Pair | None = None) -> str:
     """Write a value of a quantity.
 
-    A share is written in per cent, r with two decimals, others by the width of an interval.
+    A share is written in per cent, r with two decimals, others by the width of an interval:
+    ``limits``, None where there is none.
     """
     if v is None or not is_known(v):
         return NONE
@@ -103,7 +110,9 @@ def value(v: float | None, q: Quantity, limits: Pair | None = None) -> str:
     if q.what == "r":
         is_close = abs(v) > _CLOSE and known_limits is None
         return fixed(v, _OF_CLOSE if is_close else decimals_of_r(known_limits))
-    factor, digits = (100, 2) if q.what == "thin_share" else (1, 3)
+    factor, digits = 1, 3
+    if q.what == "thin_share":
+        factor, digits = 100, 2
     if known_limits is not None:
         low, high = known_limits
         return to_spread(factor * v, factor * (high - low) / 2)
@@ -119,7 +128,9 @@ def units(q: Quantity, *, change: bool = False) -> str:
 
 def with_units(text: str, q: Quantity, *, change: bool = False) -> str:
     """Put the unit behind a value, or behind a change of values."""
-    return f"{text}\u202f{units(q, change=change)}" if units(q) and text != NONE else text
+    if text == NONE or not units(q):
+        return text
+    return f"{text}\u202f{units(q, change=change)}"
 
 
 def margin_text(margin: float, q: Quantity) -> str:
@@ -129,7 +140,8 @@ def margin_text(margin: float, q: Quantity) -> str:
 
 def title(q: Quantity) -> str:
     """Title of a quantity at the beginning of a line; r stays small."""
-    return typeset(q.title) if q.what == "r" else capital(typeset(q.title))
+    text = typeset(q.title)
+    return text if q.what == "r" else capital(text)
 
 
 def interval(limits: Pair | None, q: Quantity) -> str:
@@ -172,9 +184,9 @@ def sheets_text(n: int) -> str:
 
 
 def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
-    """State the mean over the sheets of a group."""
+    """State the mean over the sheets of a group, with its interval or why there is none."""
     q = results.quantities[g.quantity]
-    group_text = "" if not g.group else f"{label(g.group)}: "
+    group_text = f"{label(g.group)}: " if g.group else ""
     count_text = f"{sheets_text(g.sheets)}, {g.fields} field{'s' if g.fields != 1 else ''}"
     mean_text = with_units(value(g.mean, q, g.interval), q)
     sentence = f"{group_text}{'' if q.what == 'r' else 'the '}{typeset(q.title)} is {mean_text}"
@@ -186,7 +198,10 @@ def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
 
 
 def difference(d: DifferenceFacts, results: SeriesResults) -> str:
-    """State one difference, and whether it is distinguishable."""
+    """State one difference, and whether it is distinguishable.
+
+    Where a margin was declared, whether the levels are equivalent, too.
+    """
     q = results.quantities[d.quantity]
     first, second = d.levels
     group_text = f"{label(d.within)}: " if d.within else ""

@@ -18,7 +18,9 @@ def r2_limits(row: Row) -> tuple[float, float] | None:
     if not is_known(row.interval):
         return None
     low, high = sorted(v * v for v in row.interval)
-    return (low if row.direction else 0.0, high)
+    if not row.direction:
+        low = 0.0
+    return low, high
 
 
 def r2_text(row: Row) -> str:
@@ -69,9 +71,13 @@ def p_text(p: float | None) -> str:
         return NONE
     if p < 1e-4:
         return "< 0.0001"
-    return number(p, 2) if p < 0.0995 else fixed(p, 2)
+    if p < 0.0995:
+        return number(p, 2)
+    return fixed(p, 2)
 
 
 def points_text(row: Row) -> str:
     """Write the points, and how many of them are independent."""
-    return f"{count(row.n)}\n{count(round(row.n_eff))}" if is_known(row.n_eff) else count(row.n)
+    if not is_known(row.n_eff):
+        return count(row.n)
+    return f"{count(row.n)}\n{count(round(row.n_eff))}"

@@ -24,6 +24,7 @@ from planish.core.numbers import (
     unit,
     with_article,
 )
+from planish.core.tables import grouped
 from planish.core.text import and_join
 from planish.report.relation import largest, written_difference
 from planish.report.sentences.light_field import off_text
@@ -36,7 +37,7 @@ from planish.report.statement import (
     r_sentence,
     r_text,
 )
-from planish.report.text import LIGHT_OFF, as_compared, stated_of
+from planish.report.text import LIGHT_OFF, TwoTexts, as_compared, stated_of
 from planish.results import (
     CorrelationRow,
     EvidenceFacts,
@@ -46,7 +47,7 @@ from planish.results import (
     Results,
 )
 
-Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
+Titles = Mapping[TwoTexts, str]  # layer and map -> title of the map
 PairKey = tuple[str, str, str, str]  # a pair of maps: first layer, its map, second layer, its map
 _LOO = "leave-one-out error"
 
@@ -82,7 +83,9 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
 
 def check_summary(results: Results) -> str:
     """State what the checks say, the worst first."""
-    fail, look, unknown = (len(results.checks_in(state)) for state in ("fail", "look", "unknown"))
+    fail = len(results.checks_in("fail"))
+    look = len(results.checks_in("look"))
+    unknown = len(results.checks_in("unknown"))
     total = len(results.checks)
     subjects = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
     clauses: list[str] = []
@@ -95,7 +98,9 @@ def check_summary(results: Results) -> str:
         clauses.append(f"{unknown} could not be answered")
     if clauses:
         return f"Of {total} checks, {'; '.join(clauses)}."
-    return f"All {total} checks passed." if total != 1 else "The check passed."
+    if total == 1:
+        return "The check passed."
+    return f"All {total} checks passed."
 
 
 def doubt(results: Results, row: CorrelationRow) -> str:
@@ -113,17 +118,19 @@ def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
 
 def titles_of(
     pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_layers: bool = False
-) -> tuple[str, str]:
+) -> TwoTexts:
     """Return the titles of both maps of a pair, their names where they have none.
 
     On request with their layers.
     """
     first = as_compared(titles.get((pair.a, pair.a_map), pair.a_map), pair.a_map)
     second = as_compared(titles.get((pair.b, pair.b_map), pair.b_map), pair.b_map)
-    return (f"{first}, {pair.a}", f"{second}, {pair.b}") if with_layers else (first, second)
+    if with_layers:
+        return f"{first}, {pair.a}", f"{second}, {pair.b}"
+    return first, second
 
 
-def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
+def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> TwoTexts:
     """Return the titles of both maps of a pair as they stand in a sentence."""
     first_title, second_title = titles_of(pair, titles)
     return in_words(first_title), in_words(second_title)
@@ -131,9 +138,7 @@ def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tupl
 
 def by_pair(results: Results) -> list[list[CorrelationRow]]:
     """Group correlations of the same two maps, each group from the pixel to the largest points."""
-    groups: dict[PairKey, list[CorrelationRow]] = {}
-    for row in results.correlations:
-        groups.setdefault(key_of(row), []).append(row)
+    groups = grouped(results.correlations, key_of)
     return [sorted(rows, key=lambda row: row.point_um) for rows in groups.values()]
 
 
@@ -177,7 +182,9 @@ def density_of(results: Results, row: CorrelationRow) -> float | None:
     None where the run knows none.
     """
     evidence = evidence_of(results, row)
-    return None if evidence is None else evidence.density_g_cm3
+    if evidence is None:
+        return None
+    return evidence.density_g_cm3
 
 
 def quantities(results: Results) -> list[str]:
@@ -202,7 +209,7 @@ def _percent_text(share: float | None) -> str:
 
 
 def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    """Of a sheet that is mapped and linked to nothing."""
+    """The summary of a sheet that is mapped and linked to nothing."""
     layer = results.reference.name
     sheet = results.reference.sheet
     assert sheet is not None
@@ -211,7 +218,7 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     map_names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
     sentence = (
         f"The sheet was found in {percent(measured_share, 2)} of the columns and flattened; mapped:"
-        f" {', '.join(map_names) if map_names else 'no property'}. No image was linked."
+        f" {', '.join(map_names) or 'no property'}. No image was linked."
     )
     if not {"coating_top", "coating_bottom"} & set(sheet.properties):
         sentence += " No coating was found."
@@ -235,7 +242,11 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
 
 
 def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    """Of two layers: how they are related, and how well one lies on the other."""
+    """The summary of two layers: how they are related, and how well one lies on the other.
+
+    Figures are r of the larger points and of the pixels, and the error of the marks. Where the
+    place was fitted to both maps, r of tiles that took no part in that leads.
+    """
     marks = results.moving[0].registration
     rows = headline_pair(results, results.moving[0])
     sentence = _relation_sentence(rows, results, titles)
@@ -279,6 +290,7 @@ def _marks_text(marks: RegistrationFacts) -> str:
 
 
 def _held_out_figure(held_out: RefinementR) -> KeyFigure:
+    """R where the place was fitted to both maps: of tiles that took no part, if there are any."""
     note = "beside unrelated maps"
     label = "r after the search"
     low, high = held_out.interval or (None, None)
@@ -290,7 +302,11 @@ def _held_out_figure(held_out: RefinementR) -> KeyFigure:
 
 
 def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
-    """State how two layers are related, in their words, with r and over which points."""
+    """State how two layers are related, in their words, with r and over which points.
+
+    ``pair_rows``: correlations of their maps, from the pixel to the largest points; none where they
+    have no pixel in common.
+    """
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
         n = count(pair_rows[0].n if pair_rows else 0)
         return (
@@ -303,12 +319,14 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     are_images = is_image and results.layer(pixel.a).kind == "image"
     a, b = names_in_words(pixel, titles)
     if are_images:
-        a, b = map(with_article, (pixel.a, pixel.b))
+        a = with_article(pixel.a)
+        b = with_article(pixel.b)
     if pixel.trust != "ok":
         why = doubt(results, pixel)
         return f"The correlation of {a} and {b} {why}.{_light_text(results, row)}"
     if not is_image:
-        a, b = f"{a} of {pixel.a}", f"{b} of {pixel.b}"
+        a = f"{a} of {pixel.a}"
+        b = f"{b} of {pixel.b}"
     elif not are_images:
         b = "the image"
     return _stated_relation(row, a, b, results, titles)
@@ -327,11 +345,12 @@ def _stated_relation(row: CorrelationRow, a: str, b: str, results: Results, titl
     limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({stated_of(results)})."
     if not row.direction:
         return f"It is not certain that {b} is related to {a}: {limits_text}"
-    comparatives = ("lighter", "darker") if is_image else ("larger", "smaller")
-    comparative = comparatives[row.direction < 0]
-    title = titles.get((row.b, row.b_map)) if is_image else None
-    if title:
-        comparative += f" ({title[:1].lower()}{title[1:]})"
+    comparative = "larger" if row.direction > 0 else "smaller"
+    if is_image:
+        comparative = "lighter" if row.direction > 0 else "darker"
+        title = titles.get((row.b, row.b_map))
+        if title:
+            comparative += f" ({title[:1].lower()}{title[1:]})"
     larger = "lighter" if are_images else "larger"
     return f"{capital(b)} is {comparative} where {a} is {larger}: {limits_text}"
 
@@ -339,9 +358,11 @@ def _stated_relation(row: CorrelationRow, a: str, b: str, results: Results, titl
 def _light_text(results: Results, row: CorrelationRow) -> str:
     """Both r where uneven light makes one doubtful; empty elsewhere, and where r is withheld."""
     evidence = evidence_of(results, row)
-    field = None if evidence is None else evidence.light_field
     is_asked = any(check.name == EVEN_LIGHT for check in results.checks_in("look"))
-    if field is None or row.trust != "doubtful" or not is_asked:
+    if evidence is None or row.trust != "doubtful" or not is_asked:
+        return ""
+    field = evidence.light_field
+    if field is None:
         return ""
     return (
         f" As the image is, {r_sentence(row)}; {off_text(field)}. Which one holds"
@@ -389,7 +410,7 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
 
 
 def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    """Of several layers: how well the worst lies on the reference, and the weakest relation."""
+    """The summary of several layers: how well the worst lies, and the weakest relation."""
     reference = results.reference.name
     sentence = (
         f"The layers {and_join(layer.name for layer in results.moving)} were brought onto the"
@@ -410,7 +431,8 @@ def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigu
         figure = _r_figure(results, weakest, f"weakest r, points of {point_of(weakest)}")
         r_figure = figure._replace(note=f"{weakest.a} and {weakest.b}: {figure.note}")
     shares = [layer.share_of_reference for layer in results.moving]
-    covered = _percent_text(min((share for share in shares if share is not None), default=None))
+    known_shares = [share for share in shares if share is not None]
+    covered = _percent_text(min(known_shares, default=None))
     n_layers = count(len(results.layers))
     figures = [
         KeyFigure(n_layers, "", "layers on one grid", f"{reference} is the reference"),
@@ -432,12 +454,15 @@ def _worst_errors(results: Results) -> tuple[float | None, float | None]:
             return None, None
         error = layer.registration.expected_error
         if error is not None and error.trust == "ok":
-            medians_um += [] if error.median_um is None else [error.median_um]
-            largest_um += [] if error.largest_um is None else [error.largest_um]
+            if error.median_um is not None:
+                medians_um.append(error.median_um)
+            if error.largest_um is not None:
+                largest_um.append(error.largest_um)
     return max(medians_um, default=None), max(largest_um, default=None)
 
 
 def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFigure:
+    """R of a row with all that its interval rests on; no number where there is none to trust."""
     if row is None or row.trust != "ok":
         return KeyFigure(NONE, "", label, f"{row.trust}; see the checks" if row else NONE)
     note_text = "no interval"
@@ -452,8 +477,11 @@ def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFi
     return KeyFigure(r_text(row), "", label, f"{note_text}; {stated_of(results)}")
 
 
-def lag_verdict(lag: LagNumbers | None, map_texts: tuple[str, str]) -> LagVerdict | None:
-    """Return what the lag of two maps, named in words, means; None where none was looked for."""
+def lag_verdict(lag: LagNumbers | None, map_texts: TwoTexts) -> LagVerdict | None:
+    """Return what the lag of two maps, named in words, means; None where none was looked for.
+
+    Grey: inconclusive; amber: they do not coincide.
+    """
     if lag is None:
         return None
     se_um = math.hypot(*lag.se_um)

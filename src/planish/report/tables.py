@@ -10,10 +10,12 @@ from planish.checks.light import SIDE_LIGHT
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, fixed, in_words, interval_text, number, plain, unit
 from planish.core.status import Status
+from planish.core.tables import grouped
 from planish.core.typing import Entries, Fields, Texts
 from planish.report.relation import largest, written_difference
-from planish.report.statement import r_text
+from planish.report.statement import Row, r_text
 from planish.report.summary import Titles, by_pair, headline_pair, titles_of
+from planish.report.text import TwoTexts
 from planish.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 
 
@@ -21,7 +23,7 @@ class PairLine(NamedTuple):
     """One line of a table of correlations, one row a point size; ``best`` stands out."""
 
     name: str
-    rows: Sequence[CorrelationRow | ComparisonRow | None]
+    rows: Sequence[Row | None]
     second: str = ""
     before: Texts = ()
     after: Texts = ()
@@ -54,11 +56,9 @@ def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
 
 def comparison(results: Results) -> list[PairLine]:
     """Return the registrations that the paper compares, with both point sizes in one line each."""
-    groups: dict[str, list[ComparisonRow]] = {}
-    for row in results.comparison:
-        groups.setdefault(row.registration, []).append(row)
+    rows_by_registration = grouped(results.comparison, lambda row: row.registration)
     lines: list[PairLine] = []
-    for name, rows in groups.items():
+    for name, rows in rows_by_registration.items():
         # How much larger r is with the run's own registration, at the largest points.
         row = largest(rows)
         change_text = NONE
@@ -70,7 +70,11 @@ def comparison(results: Results) -> list[PairLine]:
 
 
 def comparison_sentence(results: Results) -> str:
-    """State what flattening changed over the largest points and over the pixels."""
+    """State what flattening changed over the largest points and over the pixels.
+
+    It compares the run's own registration with the better of those that project the sheet. Empty
+    where they were not compared.
+    """
     rows = [row for row in results.comparison if row.n and is_known(row.r)]
     sizes = _sizes(rows)
     if not sizes:
@@ -96,7 +100,9 @@ def comparison_sentence(results: Results) -> str:
 def _side_light_text(results: Results) -> str:
     """Say that slopes brighten one side of a thick place, and that a shift can raise r."""
     registrations = [layer.registration for layer in results.layers if layer.registration]
-    lag = registrations[0].lag if registrations else None
+    if not registrations:
+        return ""
+    lag = registrations[0].lag
     if lag is None or not lag.light >= SIDE_LIGHT:  # NaN: not known
         return ""
     share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
@@ -129,9 +135,14 @@ def _change_text(row: ComparisonRow) -> str:
 
 
 def correlations(results: Results, titles: Titles) -> list[PairLine]:
-    """Return the correlation of every pair of maps, all point sizes in one line each."""
+    """Return the correlation of every pair of maps, all point sizes in one line each.
+
+    Of two layers, the pair that leads stands out among others.
+    """
     has_two_layers = len(results.layers) == 2
-    leading = headline_pair(results, results.moving[0]) if has_two_layers else []
+    leading: list[CorrelationRow] = []
+    if has_two_layers:
+        leading = headline_pair(results, results.moving[0])
     sizes = _sizes(results.correlations)
     has_differences = any(row.same_quantity for row in results.correlations)
     lines: list[PairLine] = []
@@ -161,17 +172,20 @@ def _difference_text(row: CorrelationRow) -> str:
     return f"{mean} ± {spread} {units}\n{low} to {high} {units}"
 
 
-def point_sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[str]:
+def point_sizes(rows: Iterable[Row]) -> list[str]:
     """Return the point sizes of a table of correlations."""
     return [plain(size_um) for size_um in _sizes(rows)]
 
 
-def _sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[float]:
+def _sizes(rows: Iterable[Row]) -> list[float]:
     return sorted({round(float(row.point_um), 4) for row in rows})
 
 
-def parameters(values: Fields) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Return every parameter, by section; sections of a list are named by their ``name``."""
+def parameters(values: Fields) -> list[tuple[str, list[TwoTexts]]]:
+    """Return every parameter, by section; sections of a list are named by their ``name``.
+
+    Each is a name and a text; parameters of no section come last, as ``others``.
+    """
     sections: list[tuple[str, Fields]] = []
     unsectioned: Entries = {}
     for section, value in values.items():
@@ -187,7 +201,7 @@ def parameters(values: Fields) -> list[tuple[str, list[tuple[str, str]]]]:
     return [section for section in rows if section[1]]
 
 
-def _flat_rows(section: Fields, prefix: str = "") -> Iterator[tuple[str, str]]:
+def _flat_rows(section: Fields, prefix: str = "") -> Iterator[TwoTexts]:
     """Write a section of parameters.
 
     What lies in a section of its own has that one's name before it.
@@ -200,6 +214,7 @@ def _flat_rows(section: Fields, prefix: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _parameter_text(value: Any, key: str) -> str:
+    """Write a parameter with its unit, which its key states; an element of a list has no key."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
@@ -208,4 +223,6 @@ def _parameter_text(value: Any, key: str) -> str:
         value_text = f"{value:.6g}".replace("-", "−")
     else:
         value_text = str(value)
-    return f"{value_text} {unit('um')}" if key.endswith("_um") else value_text
+    if key.endswith("_um"):
+        value_text += f" {unit('um')}"
+    return value_text

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from planish.core import numbers
 from planish.core.facts import is_known
 from planish.core.source_hash import hash_sources
+from planish.core.typing import Entries
 from planish.measure.registry import NEGATIVE_CONTROLS
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
     from planish.results import Results
+
+TwoTexts = tuple[str, str]  # such as titles, units or layers of two maps, in their order
 
 # Stands beside every correlation: how its maps were registered.
 REGISTERED = "registration: marks only"
@@ -35,15 +38,14 @@ class Basis(NamedTuple):
     registered: str = REGISTERED
 
 
-BASIS = Basis()
-
-
 def registered_by(results: Results) -> str:
     """Say what registered the maps of a run: marks, or the texture that is compared as well."""
     sources = {layer.registration.source for layer in results.layers if layer.registration}
     if "texture" in sources:
         return BY_TEXTURE
-    return BY_BOTH if "both" in sources else REGISTERED
+    if "both" in sources:
+        return BY_BOTH
+    return REGISTERED
 
 
 def stated_of(results: Results) -> str:
@@ -62,8 +64,10 @@ def template(package: str, name: str) -> Template:
 
     # What is compiled of a template depends on the environment that is made here.
     folder = cache_folder(os.environ.get("NUMBA_CACHE_DIR", ""))
-    file_format = f"{jinja2.__version__}-{hash_sources('text.py')}-%s"
-    compiled = jinja2.FileSystemBytecodeCache(folder, file_format) if folder else None
+    compiled = None  # kept in memory alone where there is no folder to write to
+    if folder:
+        file_format = f"{jinja2.__version__}-{hash_sources('text.py')}-%s"
+        compiled = jinja2.FileSystemBytecodeCache(folder, file_format)
     loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
     environment = Environment(
         loader=loader,
@@ -74,7 +78,7 @@ def template(package: str, name: str) -> Template:
         lstrip_blocks=True,
     )
     filter_names = ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit")
-    filters: dict[str, Any] = {name: getattr(numbers, name) for name in filter_names}
+    filters: Entries = {name: getattr(numbers, name) for name in filter_names}
     filters |= {"length_um": numbers.length, "limit": numbers.with_unit}
     filters |= {"is_known": is_known, "with_article": numbers.with_article}
     environment.filters.update(filters)

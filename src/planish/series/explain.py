@@ -1,7 +1,5 @@
 """``pl.explain``: a model of a run, of a Dataset, or of a series pooled over its sheets."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -134,7 +134,7 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
     for timed_member in members:
         # Of a clock: no two runs take the same.
         member = timed_member.model_copy(update={"seconds": None})
-        folder = member.folder(home)
+        folder = member.folder(home)  # None where there is no run
         if folder is not None and member.state not in ("refused", "damaged"):
             try:
                 results = open_results(folder)
@@ -202,12 +202,15 @@ def _widths_um(layer: LayerFacts) -> list[float]:
 
 
 def _kind_of(results: Results) -> RunKind:
+    """Name the kind of a run by its layers."""
     if not results.is_link:
         return "map"
     kinds = sorted(layer.kind for layer in results.layers)
     if kinds == ["image", "sheet"]:
         return "sheet on image"
-    return "two volumes" if kinds == ["sheet", "sheet"] else "layers"
+    if kinds == ["sheet", "sheet"]:
+        return "two volumes"
+    return "layers"
 
 
 def _specimen(member: Member, results: Results) -> SeriesSpecimen:
@@ -217,29 +220,26 @@ def _specimen(member: Member, results: Results) -> SeriesSpecimen:
         checks = results.checks_in(state)
         if checks:
             spoken[state] = tuple(check.name for check in checks)
-    marks_used: list[int] = []
-    leave_one_out_um: list[float | None] = []
-    expected_error_um: list[float | None] = []
-    for layer in results.moving:
-        registration = layer.registration
-        if registration is not None:
-            marks_used.append(registration.matched)
-            leave_one_out_um.append(registration.leave_one_out_rms_um)
-            if registration.expected_error is not None:
-                expected_error_um.append(registration.expected_error.median_um)
+    registrations = [layer.registration for layer in results.moving if layer.registration]
+    errors = [r.expected_error for r in registrations if r.expected_error]
+    # What holds for all layers of a specimen: the worst of each.
     return SeriesSpecimen(
         member=member,
         kind=_kind_of(results),
         light=results.state,
         spoken=spoken,
-        marks_used=min(marks_used, default=None),
-        leave_one_out_um=_largest(leave_one_out_um),
-        expected_error_um=_largest(expected_error_um),
+        marks_used=min((r.matched for r in registrations), default=None),
+        leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registrations]),
+        expected_error_um=_largest([error.median_um for error in errors]),
     )
 
 
-def _largest(lengths: Sequence[float | None]) -> float | None:
-    return None if None in lengths else max((um for um in lengths if um is not None), default=None)
+def _largest(lengths_um: Sequence[float | None]) -> float | None:
+    """The largest length; None where there is none, or one of them is not known."""
+    known_um = [um for um in lengths_um if um is not None]
+    if len(known_um) < len(lengths_um):
+        return None
+    return max(known_um, default=None)
 
 
 def _instruments(member: Member, results: Results) -> Iterator[InstrumentFacts]:
@@ -360,6 +360,7 @@ def _of_sheet(
 
 
 def _of_map(stats: PropertyFacts, make_row: MakeRow) -> Iterator[FigureRow]:
+    """Statistics of one map; those that may not be known have no row then."""
     for quantity in ("mean", "sd", "p5", "median", "p95"):
         yield make_row(quantity, getattr(stats, quantity), stats.units)
     yield make_row("columns", float(stats.n))
@@ -406,8 +407,9 @@ def _differences(
     """
     if agreement is not None:
         is_of_points = abs(agreement.point_um - c.point_um) < 1e-6
-        agreement = agreement if is_of_points and c.trust != "withheld" else None
-    intervals = [None] * 3
+        if not is_of_points or c.trust == "withheld":
+            agreement = None
+    intervals = [None, None, None]
     if agreement is not None:
         intervals = [agreement.bias_interval, *agreement.limit_intervals]
     quantities = ("bias", "limit_low", "limit_high")
@@ -422,6 +424,7 @@ def _differences(
 def _trusted(
     trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]
 ) -> Entries:
+    """Fields of a row that say how far a figure of some layers is trusted, and by which checks."""
     if trust == "ok":
         return {"trust": trust}
     checks = concerned(results.checks, layers, figures)

@@ -4,10 +4,9 @@ It gives means over sheets, differences between papers or treatments, and pooled
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
-from typing import Any
 
 import numpy as np
 
@@ -31,6 +30,8 @@ from planish.series_results import (
     Specimens,
 )
 
+# A difference, and the fields of DifferenceFacts that say what it is of
+LabelledDifference = tuple[Entries, analyze.SheetDifference]
 _MOST_LEVELS = 8
 
 
@@ -90,7 +91,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
 
 
 def _differences(
-    pairs: Sequence[tuple[Mapping[str, Any], analyze.SheetDifference]],
+    pairs: Sequence[LabelledDifference],
     quantities: Sequence[Quantity],
     declared: Declared,
 ) -> Iterator[DifferenceFacts]:
@@ -228,7 +229,7 @@ def _pairs(
     quantities: Sequence[Quantity],
     factor: str | None,
     grouped_by: Sequence[str],
-) -> Iterator[tuple[Entries, analyze.SheetDifference]]:
+) -> Iterator[LabelledDifference]:
     """Compare every quantity of every two levels of a factor; none without one.
 
     This is done within each level of the other factors that make groups.

@@ -1,8 +1,6 @@
 """What a model of several maps says: its answer, what would make it surer, how to read it."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from planish.analyze.explain import COLLINEAR, Coefficient, Explained, strongest
@@ -19,6 +17,7 @@ from planish.core.numbers import (
     plain,
 )
 from planish.core.text import and_join
+from planish.core.typing import Fields
 from planish.report.series_words import sheets_text
 
 AnyModel = Explained | ExplainedSeries
@@ -34,7 +33,7 @@ _SURFACES = {
 def say_answer(model: AnyModel) -> str:
     """The answer: what is explained, by which map most, and whether that is certain."""
     sentences = [_say_share(model)]
-    coefficients: Mapping[str, Any] = model.coefficients
+    coefficients: Fields = model.coefficients
     order = strongest(model.coefficients)
     texts = [say_coefficient(coefficients[name]) for name in order]
     title = capital(in_words(coefficients[order[0]].title))

@@ -1,7 +1,5 @@
 """Sentences on octaves of wavelength: how much a map varies in each, what it shows of another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from planish.analyze.scales import MapScales, ScaleBand, Scales
@@ -16,6 +14,7 @@ from planish.core.numbers import (
     to_spread,
     with_unit,
 )
+from planish.core.tables import grouped
 from planish.core.text import and_join
 from planish.core.typing import Pair
 
@@ -25,10 +24,14 @@ _LOUD = 0.5  # share of the variance of an octave
 
 
 def say_answer(octaves: Scales) -> str:
-    """The answer: where the first maps vary most, or what they show of the other map."""
+    """The answer: where the first maps vary most, or what they show of the other map.
+
+    Where no octave of a map can be measured, why; where the formation of a map is known, that too.
+    """
     sentences: list[str] = []
     for name in leading(octaves):
-        facts, bands = octaves.maps[name], octaves.bands[name]
+        facts = octaves.maps[name]
+        bands = octaves.bands[name]
         if not bands:
             sentences.append(f"{_title(facts)}: {facts.reason}")
         elif octaves.against is None:
@@ -76,7 +79,7 @@ def _title(facts: MapScales) -> str:
 
 
 def _say_spread(facts: MapScales, bands: Sequence[ScaleBand]) -> str:
-    """Where a map varies most, and by how much."""
+    """Where a map varies most, and by how much; of an image that is its mottle."""
     largest = max(bands, key=lambda band: band.sd)
     interval = _ends(largest.interval, largest.sd)
     noise_text = ", without noise" if facts.shared is not None else ""
@@ -87,7 +90,9 @@ def _say_spread(facts: MapScales, bands: Sequence[ScaleBand]) -> str:
             f"The mottle of {in_words(facts.title)} is largest in waves of {waves(largest)}:"
             f" {size_text} (standard deviation {sd_text}; 95 %: {interval})."
         )
-    cov_text = f"; {percent(largest.cov)} of its mean" if is_known(largest.cov) else ""
+    cov_text = ""
+    if is_known(largest.cov):
+        cov_text = f"; {percent(largest.cov)} of its mean"
     return (
         f"{_title(facts)} varies most in waves of {waves(largest)}: its standard deviation there is"
         f" {sd_text} (95 %: {interval}{cov_text}){noise_text}."
@@ -95,7 +100,11 @@ def _say_spread(facts: MapScales, bands: Sequence[ScaleBand]) -> str:
 
 
 def _say_relation(octaves: Scales, facts: MapScales, bands: Sequence[ScaleBand]) -> str:
-    """In which waves a map follows the other one most, and by how much."""
+    """In which waves a map follows the other one most, and by how much.
+
+    Of a coating over the surface of its base: how much of the height it levels. Also in which waves
+    it does not follow.
+    """
     other = in_words(octaves.against_title)
     related = _related(bands)
     if not related:
@@ -103,7 +112,9 @@ def _say_relation(octaves: Scales, facts: MapScales, bands: Sequence[ScaleBand])
     best = leading_band(octaves, bands)
     if not best.coherence_interval[0] > 0:
         return f"{_title(facts)} follows {other} in no octave beyond chance."
-    follows, rises = ("follows", "rises") if best.gain > 0 else ("mirrors", "falls")
+    follows, rises = "mirrors", "falls"
+    if best.gain > 0:
+        follows, rises = "follows", "rises"
     low, high = sorted(map(abs, best.gain_interval))
     # Hundredths of a change are the most that anyone reads.
     size = to_spread(abs(best.gain), max(_half(best.gain_interval), 0.1 * abs(best.gain)))
@@ -186,7 +197,7 @@ def _say_noise(octaves: Scales, names: Sequence[str]) -> Iterator[str]:
 
 def _wants_larger_field(bands: Sequence[ScaleBand]) -> bool:
     """Whether the longest waves vary most, or their interval is wide."""
-    longest = bands[0]
+    longest = bands[0]  # octaves stand from the longest waves on
     is_largest = longest.sd >= max(band.sd for band in bands)
     return is_largest or _half(longest.interval) > _WIDE * longest.sd
 
@@ -242,12 +253,10 @@ def say_notes(octaves: Scales) -> list[str]:
         for facts in octaves.maps.values()
         if facts.reason is not None
     ]
-    shared: dict[str, list[str]] = {}
-    for facts in octaves.maps.values():
-        if facts.shared is not None:
-            shared.setdefault(facts.shared, []).append(in_words(facts.title))
-    for cause, titles in shared.items():
-        notes.append(f"All rows share {cause}: it stays in {and_join(titles)}.")
+    for cause, maps in grouped(octaves.maps.values(), lambda facts: facts.shared).items():
+        if cause is not None:
+            titles = and_join(in_words(facts.title) for facts in maps)
+            notes.append(f"All rows share {cause}: it stays in {titles}.")
     notes += _say_forms(octaves)
     if octaves.declared is False:
         notes.append("The study declared other maps: these were chosen later.")
