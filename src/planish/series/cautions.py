@@ -26,7 +26,13 @@ def cautions_of(
     compared_by: str | None,
     most_levels: int,
 ) -> Iterator[str]:
-    """Give one sentence for each thing to be careful about, what changes a figure first."""
+    """Give one sentence for each thing to be careful about, what changes a figure first.
+
+    ``specimens`` have their sheets and, in the order of ``quantities``, their cells.
+    ``grouped_by`` are the factors whose levels make groups, and ``compared_by`` is the one that is
+    compared, or None; of more than ``most_levels`` levels not every two are compared.
+    """
+    # Those without a run have no figures and take part in nothing.
     counted = [specimen for specimen in specimens if specimen.kind is not None]
     yield from _left_out(counted, quantities)
     yield from _sheets(gathered, counted)
@@ -36,14 +42,14 @@ def cautions_of(
     if compared_by is not None:
         yield from _comparison(counted, compared_by, len(levels.get(compared_by, ())), most_levels)
     yield from _kinds(counted)
-    # Standard deviations of unlike supports are of different things.
+    # Standard deviations over columns of unlike width are of different things.
     if any(quantity.what in ("sd", "thin_share") for quantity in quantities):
         widths_um = [gathered.runs[specimen.name].column_um for specimen in counted]
         yield from _column_widths([um for um in widths_um if um is not None])
 
 
 def _kinds(counted: Specimens) -> Iterator[str]:
-    """What does not meet where runs are of different kinds."""
+    """Say where runs are of different kinds, which have few maps in common."""
     kind_counts = Counter(specimen.kind for specimen in counted)
     if len(kind_counts) > 1:
         kinds_text = ", ".join(f"{n} {_KIND_NAMES[str(kind)]}" for kind, n in kind_counts.items())
@@ -62,7 +68,10 @@ def _column_widths(widths_um: Sequence[float]) -> Iterator[str]:
 
 
 def _left_out(counted: Specimens, quantities: Sequence[Quantity]) -> Iterator[str]:
-    """Figures that a check or too little data keeps out of means and comparisons."""
+    """Name specimens whose figures a check, or too little data, keeps out of means.
+
+    A cell that is kept out says why: its ``why_not`` begins with the words that are looked for.
+    """
     yield from _kept_out("withheld", "a check failed", counted, len(quantities))
     yield from _kept_out("doubtful", "a check asks for a look", counted, len(quantities))
     doubtful = _with_cell(counted, lambda cell: cell.trust == "doubtful" and cell.counts)
@@ -86,8 +95,11 @@ def _left_out(counted: Specimens, quantities: Sequence[Quantity]) -> Iterator[st
 
 
 def _kept_out(trust: str, why: str, counted: Specimens, n_quantities: int) -> Iterator[str]:
-    """Which specimens have figures that a check keeps out."""
-    figure_counts: dict[str, int] = {}
+    """Say which specimens have figures that a check keeps out, and whether these are all figures.
+
+    ``trust``: that of the figures, withheld or doubtful; ``why``: a clause on the check.
+    """
+    figure_counts: dict[str, int] = {}  # by specimen: how many of its figures are kept out
     for specimen in counted:
         reasons = [cell.why_not for cell in specimen.cells]
         figure_counts[specimen.name] = sum(reason.startswith(trust) for reason in reasons)
@@ -102,15 +114,22 @@ def _kept_out(trust: str, why: str, counted: Specimens, n_quantities: int) -> It
 
 
 def _with_cell(counted: Specimens, is_meant: Callable[[Cell], bool]) -> list[str]:
+    """Names of the specimens that have a cell that is meant."""
     return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
 
 def _sheets(gathered: Gathered, counted: Specimens) -> Iterator[str]:
-    """What does not match of sheets and volumes."""
+    """Say what does not match of sheets and volumes.
+
+    A volume is known by the hash of its file. Without names of sheets, specimens of one volume are
+    of one sheet, and all others of sheets of their own.
+    """
     by_volumes = grouped(counted, lambda specimen: gathered.runs[specimen.name].volumes)
     without = specimens_without("sheet", counted)
     if without and len(counted) > 1:
-        kind = "volume" if len(by_volumes) < len(counted) else "specimen"
+        kind = "specimen"
+        if len(by_volumes) < len(counted):
+            kind = "volume"
         which = "The table names no sheets"
         if len(without) < len(counted):
             which = f"No sheet is named for {listed(without)}"
@@ -136,6 +155,7 @@ def _same_volume(same: Specimens) -> Iterator[str]:
 
 
 def _same_fields(counted: Specimens) -> Iterator[str]:
+    """Name specimens that nothing but their own names tells apart."""
     with_field = [specimen for specimen in counted if specimen.factor("field")]
     by_field = grouped(with_field, lambda s: (s.sheet, *s.member.factors.values()))
     for same in by_field.values():
@@ -163,7 +183,10 @@ def _factors(
     levels: Mapping[str, Sequence[str]],
     grouped_by: Sequence[str],
 ) -> Iterator[str]:
-    """Factors whose levels are spelled in two ways, vary within groups, or are not given."""
+    """Name factors whose levels are spelled in two ways, vary within groups, or are not given.
+
+    ``levels``: of each factor, as :func:`_levels` gives them.
+    """
     for name, spellings in levels.items():
         counts = Counter(level.casefold() for level in spellings)
         alike = [level for level in spellings if counts[level.casefold()] > 1]
@@ -187,7 +210,11 @@ def _factors(
 
 
 def _comparison(counted: Specimens, factor: str, n_levels: int, most_levels: int) -> Iterator[str]:
-    """What is odd about the factor that is compared."""
+    """Say what is odd about the factor that is compared.
+
+    ``n_levels``: how many levels it has among the specimens; ``most_levels``: as for
+    :func:`cautions_of`.
+    """
     if factor not in FACTORS:
         # Sheets that pair by a factor of which the program cannot know whether it is done to a
         # sheet, or tells sheets.

@@ -101,6 +101,9 @@ def declared_model(folder: Path) -> ExplainParams:
 def explain_series(results: SeriesResults, home: Path, params: ExplainParams) -> ExplainedSeries:
     """Explain a map in each specimen of a series, and pool over sheets.
 
+    A specimen without a run, without such a model, or with one that a check doubts is left out, and
+    the result says why. ``home``: folder of the series, to which runs are relative.
+
     Raises
     ------
     CannotMeasure

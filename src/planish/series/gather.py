@@ -90,11 +90,12 @@ class Gathered:
     def rows_of_series(self) -> list[FigureRow]:
         """Give rows in which the only sheet and the only image of each specimen have no name.
 
-        Those need none.
+        Those need none, and so meet those of other specimens that are called otherwise. Where any
+        specimen has several sheets, or images, all keep their names.
         """
         is_only_sheet = all(len(run.sheets) <= 1 for run in self.runs.values())
         is_only_image = all(len(run.images) <= 1 for run in self.runs.values())
-        nameless: dict[str, set[str]] = {}
+        nameless: dict[str, set[str]] = {}  # layers of each specimen that need no name
         for name, run in self.runs.items():
             nameless[name] = {*run.sheets} if is_only_sheet else set()
             if is_only_image:
@@ -130,7 +131,7 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
     judged_members: list[Member] = []
     rows: list[FigureRow] = []
     runs: dict[str, RunSummary] = {}
-    run_by_age: dict[bool, str] = {}
+    run_by_age: dict[bool, str] = {}  # a specimen with an older format of results, and one without
     for timed_member in members:
         # Of a clock: no two runs take the same.
         member = timed_member.model_copy(update={"seconds": None})
@@ -243,9 +244,9 @@ def _largest(lengths_um: Sequence[float | None]) -> float | None:
 
 
 def _instruments(member: Member, results: Results) -> Iterator[InstrumentFacts]:
-    """How two measurements of the map that stands for both sheets differ.
+    """State how two measurements of the map that stands for both sheets differ.
 
-    Of two quantities, there is no such thing.
+    Of two quantities, there is no such thing. Figures are left out where they are withheld.
     """
     for evidence in results.evidence:
         agreement = evidence.agreement
@@ -256,6 +257,7 @@ def _instruments(member: Member, results: Results) -> Iterator[InstrumentFacts]:
             continue
         figures: Entries = {}
         if row.trust != "withheld":
+            # Both as changes of the second measurement for one of the first.
             has_slopes = is_known(row.slope) and row.slope_x_on_y
             figures = {
                 "bias": row.difference_mean,
@@ -314,7 +316,10 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
 
 
 def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
-    """Figures of the sheet of a layer, and of its registration."""
+    """Figures of the sheet of a layer, and of its registration, where it has either.
+
+    ``make_row`` makes a row of a quantity, its value and its unit, with what else is known of it.
+    """
     make_row = partial(make_row, layer=layer.name)
     if layer.sheet is not None:
         yield from _of_sheet(layer.sheet, layer.name, results, make_row)
@@ -335,7 +340,11 @@ def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterato
 def _of_sheet(
     sheet: SheetFacts, layer: str, results: Results, make_row: MakeRow
 ) -> Iterator[FigureRow]:
-    """Statistics, thin shares and roughness of each map of a sheet."""
+    """Statistics, thin shares and roughness of each map of a sheet.
+
+    Thin shares and roughness are kept by sides of the sheet: coatings have the shares, topographies
+    the roughness of the faces, and half thicknesses that about the centre surface.
+    """
     thin_by_map: dict[str, ThinFacts] = {}
     roughness_by_map: dict[str, RoughnessFacts] = {}
     numbers = sheet.numbers
@@ -372,7 +381,10 @@ def _of_map(stats: PropertyFacts, make_row: MakeRow) -> Iterator[FigureRow]:
 
 
 def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
-    """Correlations and differences of pairs of maps, and the mottle of images."""
+    """Correlations and differences of pairs of maps, and the mottle of images.
+
+    There is a row of each quantity for each size of points, and of mottle for each octave.
+    """
     agreement_by_pair = {key_of(e): e.agreement for e in results.evidence}
     for c in results.correlations:
         figures = (c.a_map, c.b_map, "position", "correlation")

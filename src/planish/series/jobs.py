@@ -35,9 +35,13 @@ from planish.series_results import Member, MemberState
 RUNS = "runs"  # folder of the runs within that of the series
 NOTES = ".series"  # hidden folder of what is remembered of each specimen
 
-# Measured on two cores: links of 11 to 160 million voxels to .2 to 160 million pixels.
-_START_S, _PER_VOXEL_S, _PER_PIXEL_S = 4.0, 0.2e-6, 2.5e-6
-_PER_COLUMN, _PER_PIXEL = 150, 110  # bytes
+# Seconds, measured on two cores: links of 11 to 160 million voxels to .2 to 160 million pixels.
+_START_S = 4.0
+_PER_VOXEL_S = 0.2e-6
+_PER_PIXEL_S = 2.5e-6
+# Bytes
+_PER_COLUMN = 150
+_PER_PIXEL = 110
 
 
 class Note(ResultModel):
@@ -78,7 +82,7 @@ class Estimate:
 
 @contextmanager
 def series_folder(out: Path) -> Generator[None]:
-    """Make the folder of a series, or go on with one.
+    """Make the folder of a series, or go on with one, and keep others out of it meanwhile.
 
     FileError where something else stands or works there.
     """
@@ -99,7 +103,8 @@ class SeriesState:
     """What is done of a series, kept in its folder specimen by specimen."""
 
     def __init__(self, home: Path, plan: Plan) -> None:
-        self.home, self.plan = home, plan
+        self.home = home
+        self.plan = plan
         self._reserved = {specimen.name.casefold() for specimen in plan.specimens}
 
     def open(self, specimen: PlannedSpecimen, compute: Compute) -> Job | Member:
@@ -110,9 +115,9 @@ class SeriesState:
         return job
 
     def look(self, specimen: PlannedSpecimen, compute: Compute) -> Job | Member:
-        """What is to be done for a specimen.
+        """Give the job that is to be done for a specimen; nothing is written.
 
-        What became of it where it is done, or cannot be begun.
+        Where it is done, or cannot be begun, the member says what became of it.
 
         One refused with the same files and options is not tried again; one that lacked memory or
         disk is.
@@ -130,7 +135,11 @@ class SeriesState:
         return Job(name=specimen.name, study=study, folder=folder, compute=compute, note=note)
 
     def _place_of(self, specimen: PlannedSpecimen, note: Note) -> tuple[Path, Note | None]:
-        """Folder of a run, and its note; another folder where there is a run of something else."""
+        """Folder of a specimen's run, and what is noted of a run there with the same key.
+
+        NAME, or NAME-2 and so on where an earlier run of something else, which has another key, has
+        that name; None where nothing is noted yet.
+        """
         name = specimen.name
         k = 1
         while True:
@@ -138,6 +147,7 @@ class SeriesState:
             old_note = self._read(folder)
             if old_note is not None and old_note.key != note.key:
                 old_note = None
+            # NAME-2 may be what another specimen is called.
             is_free = name == specimen.name or name.casefold() not in self._reserved
             if is_free and (old_note is not None or not folder.exists()):
                 return folder, old_note
@@ -166,14 +176,18 @@ class SeriesState:
         return as_judged(specimen.member.model_copy(update={"run": run}), results)
 
     def estimate(self, specimen: PlannedSpecimen, compute: Compute) -> Estimate:
-        """Say what a specimen will take, or why nothing is to be done; nothing is written."""
+        """Say what a specimen will take, or why nothing is to be done; nothing is written.
+
+        Time is that of specimens which are done, or goes by the size of the files; memory is that
+        of the program, the largest volume and the images.
+        """
         job = self.look(specimen, compute)
         if not isinstance(job, Job):
             return Estimate(words="kept" if job.run is not None else f"{job.state}: {job.message}")
         voxels = pixels = columns = volume_bytes = 0.0
         try:
             for layer in job.study.layers:
-                if layer.kind == "run":
+                if layer.kind == "run":  # mapped already
                     continue
                 header = describe(layer.path, values=False)
                 size = float(prod(header["shape"]))
@@ -181,7 +195,7 @@ class SeriesState:
                     pixels += size
                 else:
                     voxels += size
-                    columns += size ** (2 / 3)
+                    columns += size ** (2 / 3)  # of a cube
                     volume_bytes = max(volume_bytes, bytes_to_hold(header["bytes"]))
         except PlanishError as error:
             return Estimate(words=f"refused: {error.text}")
@@ -202,10 +216,15 @@ class SeriesState:
         return median(seconds) if len(seconds) >= 3 else None
 
     def _note_of(self, study: Study, specimen: PlannedSpecimen) -> Note:
-        """What tells whether a run may be taken again, wherever the series was moved to."""
+        """What tells whether a run may be taken again, wherever the series was moved to.
+
+        The key of a note is made of the options, with names in place of paths, and of the hashes of
+        all files. A file whose stamp is the earlier one keeps its hash and is not read.
+        """
         paths: list[str] = []
 
         def without(path: str) -> str:
+            """Leave the name of a path alone, and note the path down."""
             paths.append(path)
             return find_place(path).name
 
@@ -216,7 +235,8 @@ class SeriesState:
         for (k, stamp), path in zip(stamps.items(), paths, strict=True):
             is_kept = k in old.hashes and old.stamps.get(k) == stamp
             hashes[k] = old.hashes[k] if is_kept else hash_of_input(path)
-        return Note(key=run_key(options, list(hashes.values())), stamps=stamps, hashes=hashes)
+        key = run_key(options, list(hashes.values()))
+        return Note(key=key, stamps=stamps, hashes=hashes)
 
     def _read(self, folder: Path) -> Note | None:
         path = self.home / NOTES / f"{folder.name}.json"
@@ -231,7 +251,10 @@ class SeriesState:
 
 
 def do(job: Job) -> Note:
-    """Link the layers of a specimen, or map its volume; whatever goes wrong is noted, too."""
+    """Link the layers of a specimen, or map its volume; whatever goes wrong is noted, too.
+
+    Gives the note of the job with state, message and seconds.
+    """
     begin = time.perf_counter()
     outcome = {"state": "damaged", "message": ""}
     try:
@@ -245,7 +268,8 @@ def do(job: Job) -> Note:
         outcome["message"] = "The memory is used up. Give fewer jobs, or more memory."
     except Exception as error:  # noqa: BLE001  one specimen stops no other
         outcome["message"] = as_sentence(error, str(job.folder), "").text
-    return job.note.model_copy(update={**outcome, "seconds": round(time.perf_counter() - begin, 1)})
+    seconds = round(time.perf_counter() - begin, 1)
+    return job.note.model_copy(update={**outcome, "seconds": seconds})
 
 
 # State and message of a job whose process ended again and again
@@ -259,6 +283,7 @@ KILLED = {
 
 
 def _reason_of(error: PlanishError) -> dict[str, str]:
+    """State and message of a specimen that an error ended; one that lacked memory may try again."""
     state = "damaged" if isinstance(error, ResourceError) else "refused"
     return {"state": state, "message": in_study_words(error.text)}
 
@@ -268,12 +293,14 @@ def _without_run(specimen: PlannedSpecimen, note: Note) -> Member:
 
 
 def stamp_of(path: Path) -> str:
-    """Give the number, size and times of change of the files of an input.
+    """Give the number, size and times of change of the files of an input, as one text.
 
-    Files that its headers name are among them.
+    Files that its headers name are among them, and those of a folder.
     """
-    files = list(path.rglob("*")) if path.is_dir() else [path]
-    if not path.is_dir():
+    if path.is_dir():
+        files = list(path.rglob("*"))
+    else:
+        files = [path]
         # a header whose values are not there yet is a file like another one.
         with suppress(PlanishError):
             place = find_place(path)

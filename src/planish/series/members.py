@@ -39,9 +39,10 @@ def members_of(
     InputError
         If a run is given twice, also as a copy, or the table does not fit.
     """
-    rows = _TableOfRuns(table) if table is not None else None
-    if rows is not None and not runs:
-        runs = rows.runs()
+    table_of_runs = None
+    if table is not None:
+        table_of_runs = _TableOfRuns(table)
+        runs = runs or table_of_runs.runs()
     folders = [_folder_of(run) for run in runs]
     _refuse_twice(runs, folders)
     names = [folder.name for folder in folders]
@@ -49,7 +50,9 @@ def members_of(
     while len(set(names)) < len(names):  # with the folders above them where two are the same
         depth += 1
         names = ["/".join(folder.parts[-depth:]) for folder in folders]
-    factors = [{}] * len(folders) if rows is None else rows.factors(folders)
+    factors: list[dict[str, str]] = [{}] * len(folders)
+    if table_of_runs is not None:
+        factors = table_of_runs.factors(folders)
     return tuple(
         Member(name=name, factors=run_factors, run=relative_path(folder, home))
         for name, run_factors, folder in zip(names, factors, folders, strict=True)
@@ -70,7 +73,10 @@ def _folder_of(run: Path) -> Path:
 
 
 def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
-    """Raise InputError where one specimen would count twice: the same folder, or a copy of it."""
+    """Raise InputError where one specimen would count twice: the same folder, or a copy of it.
+
+    ``folders``: resolved, of ``runs`` as they were given. A copy has the same results.json.
+    """
     for k, run in enumerate(runs):
         if folders[k] in folders[:k]:
             raise InputError(f"{run} is given twice. Give each run once: a specimen counts once.")
@@ -112,7 +118,10 @@ class _TableOfRuns:
         return [self._home / self._table.text(row, "run") for row in self._table.rows]
 
     def factors(self, folders: Sequence[Path]) -> list[dict[str, str]]:
-        """Factors of each run; InputError unless each has one row, and each row a run."""
+        """Factors of each run, in the order of the folders, without those of empty cells.
+
+        InputError unless each has one row, and each row a run.
+        """
         table = self._table
         rows = [self._row_of(folder) for folder in folders]
         self._refuse_idle([row for row in table.rows if row not in rows])
@@ -134,6 +143,7 @@ class _TableOfRuns:
             )
 
     def _row_of(self, folder: Path) -> CsvRow:
+        """The row of a run; InputError unless there is one and no more."""
         rows = [row for row in self._table.rows if self._is_of(row, folder)]
         if len(rows) == 1:
             return rows[0]

@@ -75,7 +75,10 @@ def open_study(path: str | Path) -> xr.Dataset:
 
 
 def _with_factors(study: xr.Dataset, results: SeriesResults) -> xr.Dataset:
-    """The same with names, factors and states of the specimens as coordinates."""
+    """The same with names, factors and states of the specimens as coordinates.
+
+    A factor with the name of something else in the study is called ``factor_NAME``.
+    """
     columns = ("specimen", *OF_A_ROW, "state", *map(str, study.dims), *map(str, study.data_vars))
     names = np.array([specimen.name for specimen in results.specimens], dtype=object)
     study = study.assign_coords(specimen=names)
@@ -88,7 +91,10 @@ def _with_factors(study: xr.Dataset, results: SeriesResults) -> xr.Dataset:
 def _rows_of(
     folder: Path, results: SeriesResults, names: Sequence[str]
 ) -> dict[str, list[dict[str, str]]]:
-    """Rows of values.csv, by quantity; FileError where they are not of these specimens."""
+    """Rows of values.csv as dicts of texts by column, grouped by quantity.
+
+    FileError where they are not of these specimens, ``names``.
+    """
     content = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9)
     text = content.decode("utf-8", errors="replace")
     table = parse_table(text, VALUES, needed=("specimen", *OF_A_ROW[:-1]), error=FileError)
@@ -106,7 +112,13 @@ def _rows_of(
 
 
 def _labels(row: Mapping[str, str], has_several_sheets: bool) -> Entries:
-    """Names and sizes of what a figure is of, by dim."""
+    """Names and sizes of what a figure is of, by the dims of its quantity beside ``specimen``.
+
+    Counts of checks have none, the share of measured columns has its layer, figures of a
+    registration both layers, those of two maps the pair and the size of points, and those of a map
+    its name and, where they have one, a limit or a wavelength. With several sheets a map is named
+    with its layer.
+    """
     quantity = row["quantity"]
     layer = row["layer"]
     if quantity.startswith("checks_"):
@@ -139,9 +151,11 @@ def _number(text: str) -> float:
 
 
 def _units(rows: Sequence[Mapping[str, str]]) -> Entries:
-    """The unit of a quantity, where all its figures have one."""
+    """The unit of a quantity as attribute; none where its figures have several."""
     units = {row["unit"] for row in rows}
-    return {"units": units.pop()} if len(units) == 1 else {}
+    if len(units) > 1:
+        return {}
+    return {"units": units.pop()}
 
 
 def _coordinate(figures: Sequence[Entries], dim: str) -> Array:
@@ -155,13 +169,16 @@ def _coordinate(figures: Sequence[Entries], dim: str) -> Array:
 def _arrays(
     quantity: str, rows: Sequence[Mapping[str, str]], names: Sequence[str], has_several_sheets: bool
 ) -> dict[str, xr.DataArray]:
-    """Give a quantity as an array.
+    """Give a quantity as an array (specimen, ...), over the dims that :func:`_labels` says.
 
-    With it come the ends of its intervals, where it has any, and what the checks leave of it.
+    With it come the ends of its intervals, where it has any, and what the checks leave of it: each
+    by the name of its variable. ``names``: of the specimens. What no row states is NaN, and -1 of
+    trust.
     """
     figures = [_labels(row, has_several_sheets) for row in rows]
     coords = {dim: _coordinate(figures, dim) for dim in figures[0]}
-    labels = {"specimen": list(names)} | {dim: axis.tolist() for dim, axis in coords.items()}
+    labels = {"specimen": list(names)}  # along each dim, in the order of the array
+    labels |= {dim: axis.tolist() for dim, axis in coords.items()}
     shape = tuple(map(len, labels.values()))
     value, low, high = (np.full(shape, np.nan) for _ in range(3))
     trust = np.full(shape, -1, dtype=np.int8)
@@ -180,4 +197,4 @@ def _arrays(
         flags = {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)}
         variables[_JUDGED[quantity]] = (trust, flags)
     build_array = partial(xr.DataArray, dims=list(labels), coords=coords)
-    return {name: build_array(array, attrs={**own}) for name, (array, own) in variables.items()}
+    return {name: build_array(array, attrs=dict(own)) for name, (array, own) in variables.items()}

@@ -28,13 +28,11 @@ from planish.series.summary import summary_of
 from planish.series_results import Cell, Member, Quantity, RunKind, SeriesResults, SeriesSpecimen
 
 # Names of the files of a series
-REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
-    "report.html",
-    "results.json",
-    "specimens.csv",
-    "values.csv",
-    "values.parquet",
-)
+REPORT = "report.html"
+RESULTS = "results.json"
+SPECIMENS = "specimens.csv"
+VALUES = "values.csv"
+PARQUET = "values.parquet"
 
 # Columns of a row of values.csv behind the specimen and its factors
 OF_A_ROW = (
@@ -106,7 +104,9 @@ def write_series(
     specimens: list[SeriesSpecimen] = []
     for specimen in results.specimens:
         folder = specimen.member.folder(home)
-        run = None if folder is None else relative_path(folder.resolve(), out.resolve())
+        run = None
+        if folder is not None:
+            run = relative_path(folder.resolve(), out.resolve())
         member = specimen.member.model_copy(update={"run": run})
         specimens.append(specimen.model_copy(update={"member": member}))
     results = results.model_copy(update={"specimens": tuple(specimens)})
@@ -129,7 +129,8 @@ def write_series(
 def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
     """The map that leads of every specimen that has it, one read after the other.
 
-    Without values where none can be.
+    One that cannot be read has no values. Those without a run, or on which the map was not
+    measured, are left out.
     """
     small_maps: list[SmallMap] = []
     if not results.quantities:
@@ -153,7 +154,8 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
 def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | None:
     """The map of a sheet, flat or, of two sheets, on the pixels of the reference.
 
-    The smallest copy that will do.
+    The smallest copy, NaN where it is not valid; None where the store, ``maps.zarr``, does not hold
+    it.
     """
     name = quantity.map
     groups = [f"layers/{quantity.layer}/maps", f"layers/{quantity.layer}", "maps"]
@@ -204,7 +206,10 @@ def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes
 
 
 def _columns_of(q: Quantity) -> list[str]:
-    """Columns of a quantity in specimens.csv, named by map, statistic and unit."""
+    """Columns of a quantity in specimens.csv, named by map, statistic and unit.
+
+    The value, of r with its interval and independent points, and how far it is trusted.
+    """
     name_parts = [q.layer, q.map, q.what]
     suffixes = ("", "_trust")
     if q.what == "r":
@@ -220,7 +225,11 @@ def _columns_of(q: Quantity) -> list[str]:
 
 
 def _specimens_text(results: SeriesResults) -> str:
-    """Give the text of specimens.csv, one row a specimen."""
+    """Give the text of specimens.csv, one row a specimen, in the columns of ``_OF_A_SPECIMEN``.
+
+    Factors stand behind the name, quantities behind the rest; message and run come last. What is
+    not known is empty.
+    """
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
     for quantity in results.quantities:
         header += _columns_of(quantity)
