@@ -68,7 +68,7 @@ class ExportRequest:
         return FORMATS[self.params.to]
 
     def write(self, content: object, path: Path) -> None:
-        """Write a content of the format."""
+        """Write a content of the format to a new path, a file or a folder."""
         history = run_contents.history_of(self.run)
         # The working store of a volume.
         if isinstance(content, xr.DataArray) and self.file_format.is_folder:
@@ -98,7 +98,11 @@ class ExportRequest:
 
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
-    """What is written, by what the format holds and the group that was asked for."""
+    """What is written, by what the format holds and the group that was asked for.
+
+    InputError where the group does not fit the format, FileError where the run has no folder and
+    its folder is to be copied.
+    """
     group = request.params.group
     file_format = request.file_format
     if "run" in file_format.holds:
@@ -145,7 +149,11 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
 
 
 def _maps(request: ExportRequest) -> list[OutputFile]:
-    """Maps of a group, in one file or each in its own."""
+    """Maps of a group, in one file or each in its own.
+
+    They are only named here; their values are read as they are written. StudyError where several
+    are to go into a file that holds one.
+    """
     run = request.run
     file_format = request.file_format
     group = run_contents.map_group(run, request.params.group)
@@ -206,7 +214,10 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
 
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
-    """Surfaces of the sheet, each in its own file."""
+    """Surfaces of the sheet, each in its own file, on every n-th row and column of the volume.
+
+    StudyError where several are to go into one file.
+    """
     run = request.run
     params = request.params
     facts = run_contents.sheet_facts(run)
@@ -266,7 +277,11 @@ def _measured_surfaces(surfaces: xr.Dataset, names: Sequence[str]) -> list[str]:
 
 
 def _registrations(request: ExportRequest) -> list[OutputFile]:
-    """Registrations of the layers, each in both directions, or their marks."""
+    """Registrations of the layers, each in both directions, or their marks.
+
+    A single file has the direction from the moving layer to the fixed one, or both where the format
+    keeps them together. A direction may be several files.
+    """
     if request.params.maps:
         raise StudyError(
             f"{request.file_format.title} holds a registration, and `map` chooses maps. Leave `map`"
@@ -283,7 +298,7 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
     files = list[OutputFile]()
     for layer in layers:
         pair = run_contents.transforms_of(request.run, layer)
-        contents: dict[str, object] = {pair.forward.name: pair}
+        contents: dict[str, object] = {pair.forward.name: pair}  # by the name of the file
         if "marks" in file_format.holds:
             contents = {pair.forward.name: run_contents.landmarks(request.run, layer)}
         elif file_format.apart:

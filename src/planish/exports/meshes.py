@@ -193,9 +193,10 @@ def _write_vtk_array(file: IO[str], name: str, array: Array) -> None:
 
 
 def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
-    """Make a mesh, a cell where all corners are.
+    """Make a mesh: a node where the surface was found, and a cell where all its corners are nodes.
 
-    StudyError if ``mesh_um`` is below the pitch or leaves none.
+    Places are those in the volume, x, y and z in um, whichever axis the rows of the surface run
+    along. StudyError if ``mesh_um`` is below the pitch or leaves no cell.
     """
     frame = Frame.of(surface.data)
     row_step, col_step = steps_of(surface.data, params.mesh_um)
@@ -206,7 +207,8 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     is_node = np.isfinite(heights)
     # Places (y, x) that have a node are counted row by row: its number among the points.
     node_index = np.cumsum(is_node).reshape(is_node.shape) - 1
-    corners = [CORNERS[k] for k in (0, 1, 3, 2)]  # around the cell
+    # Slices (rows, cols) that give one corner of every cell, in the order around the cell.
+    corners = [CORNERS[k] for k in (0, 1, 3, 2)]
     is_cell = np.all([is_node[corner] for corner in corners], axis=0)
     if not is_cell.any():
         raise StudyError(
@@ -223,6 +225,7 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     points = np.stack(columns, axis=1)
     if params.as_seen:
         points[:, 1] *= -1
+    # Turning y around has turned the cells around, too.
     if _are_anticlockwise(frame, surface.name) == params.as_seen:
         quads = quads[:, ::-1]
     maps: dict[str, Singles] = {}
@@ -264,9 +267,10 @@ def _colours(values: Array, scale: Scale) -> NDArray[np.uint8]:
 
 
 def steps_of(columns: xr.Dataset, mesh_um: float | None) -> Shape2D:
-    """Give how many rows and columns lie between nodes.
+    """Give how many rows and columns of the volume lie between nodes, 1 for every one.
 
-    StudyError where ``mesh_um`` is less than a column.
+    ``mesh_um``: distance of nodes that was asked for, None for every column. StudyError where it is
+    less than a column.
     """
     if mesh_um is None:
         return 1, 1

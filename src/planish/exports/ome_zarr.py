@@ -24,9 +24,10 @@ from planish.io.store import multiscale
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Write maps as one float32 image (y, x), or (c, y, x), placed in um.
+    """Write maps as one float32 image (y, x), or (c, y, x) of several, placed in um.
 
-    Overviews are means of known pixels.
+    Its levels are the maps and their overviews, each half as fine and made of means of known
+    pixels. Chunks that the run's store holds with the same bytes are copied.
     """
     names = maps.names
     group = zarr.open_group(path, mode="w-", zarr_format=3)

@@ -64,7 +64,7 @@ def history_of(run: Run) -> ExportHistory:
 def map_group(run: Run, name: str | None) -> str:
     """Choose the group of maps: as named, or the linked maps, or those of the sheet.
 
-    InputError where there is none.
+    InputError where the run has no such group, or, without a name, the maps of several layers.
     """
     usual = ("linked", "maps", "refined", "surfaces", "flat")
     map_groups = [group for group in usual if group in run.groups]
@@ -93,9 +93,9 @@ def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
 
 
 def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
-    """Give the maps of a group in the order of their names.
+    """Give the maps of a group in the order of ``names``.
 
-    The image on the flat sheet is among those of the sheet.
+    Among those of a sheet may be the image, which is brought onto the flat sheet here.
     """
     maps = run.groups[group]
     # Means over areas where it is finer, through the marks.
@@ -125,7 +125,10 @@ def map_levels(store: Path | None, group: str, name: str) -> list[Path]:
 
 
 def scale_of(maps: xr.Dataset, name: str) -> Scale:
-    """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
+    """Give limits and colours of a map, those of the page: both sides of the sheet share theirs.
+
+    Those of an image are of its valid pixels, where ``maps`` say which these are.
+    """
     pooled = [name]
     other_side = partner_of(name, [str(key) for key in maps.data_vars])
     if other_side is not None:
@@ -203,7 +206,7 @@ def volume_params(run: Run, facts: LayerFacts, progress: Progress) -> VolumePara
 def sheet_run(run: Run, name: str) -> Run | None:
     """Open the run that holds the surfaces of a sheet.
 
-    It is this one, one in ``layers/NAME``, or a given one.
+    It is this one, one in ``layers/NAME``, or a given one; None where none of them is there.
     """
     facts = sheet_facts(run)
     if facts is not None and facts.name == name:
@@ -258,7 +261,12 @@ def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
 
 
 def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
-    """Give a moving layer's registration in both directions, with the pixels of both layers."""
+    """Give a moving layer's registration in both directions, with the pixels of both layers.
+
+    Where the pixels of a layer are not known, a grid around its marks stands for them. The affine
+    map is all of a similarity or affine fit, and of others the part that is closest at the middle
+    of the marks.
+    """
     assert layer.registration is not None
     target = layer.registration.to
     fit = run.registrations[layer.name].fit

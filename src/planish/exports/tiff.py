@@ -66,7 +66,10 @@ def write_imagej(
 
 
 def _limits(maps: Maps) -> Entries:
-    """Limits between which maps are shown at first; empty where they are not all known."""
+    """Limits between which ImageJ shows maps at first, by its own keywords.
+
+    Empty where the limits of a map are not known.
+    """
     if not maps.scales.keys() >= {*maps.names}:
         return {}
     limits: list[float] = []
@@ -140,6 +143,7 @@ class _Stack:
 
     @classmethod
     def _of_maps(cls, maps: Maps) -> _Stack:
+        """Lay out maps: several as channels, one alone as a plane."""
         names = maps.names
         labels = [f"{name} ({maps.units[name]})".removesuffix(" (1)") for name in names]
         axes = "YX"
@@ -201,7 +205,11 @@ class _Stack:
                 yield k, first_row, band
 
     def write(self, path: Path, history: ExportHistory, **options: Any) -> None:
-        """Lay out a file of uncompressed planes, one after another, and put the values into it."""
+        """Lay out a file of uncompressed planes, one after another, and put the values into it.
+
+        ``options`` are those of tifffile. The values are written where the laid out planes lie in
+        the file, part by part, so that no more than a part is in memory.
+        """
         tifffile.imwrite(
             path,
             shape=self.shape,

@@ -245,7 +245,10 @@ def write_elastix(
 def write_zarr(
     pair: TransformPair, path: Path, history: ExportHistory, _params: ExportParams
 ) -> None:
-    """Write a group for each direction: ``displacement_x`` and ``displacement_y`` (y, x) in um."""
+    """Write a group for each direction: ``displacement_x`` and ``displacement_y`` (y, x) in um.
+
+    ``y`` and ``x`` are places of the nodes in the layer that the direction starts from.
+    """
     root = zarr.open_group(path, mode="w-", zarr_format=3)
     root.attrs["format"] = "planish displacement 1"
     root.attrs["model"] = pair.model
@@ -327,9 +330,10 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
 def write_nrrd(
     content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams
 ) -> None:
-    """Write one map, or the displacement (x, y) of every node of a field.
+    """Write one map, or the displacement (x, y) of every node of a field, behind a header in text.
 
-    Beside the field other programs take 0.
+    Sizes and places are in the unit asked for, and so are displacements. Beside the field other
+    programs take 0.
     """
     unit = params.unit
     if isinstance(content, DirectedTransform):

@@ -95,9 +95,9 @@ def limits(
     percent : float
         Of the values, which lie beyond either limit.
     symmetric : bool
-        Zero is in the middle.
+        Zero is in the middle; ``percent`` of the absolute values lie beyond.
     low : float, optional
-        The lower limit.
+        The lower limit, in place of that of the percentile.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def limits(
     """
     data = np.asarray(values, dtype=np.float64).ravel()
     data = data[np.isfinite(data)]
-    data = data[:: max(1, data.size // 2_000_000)]  # values for a percentile
+    data = data[:: max(1, data.size // 2_000_000)]  # as many values do for a percentile
     if data.size == 0:
         return Scale(0.0, 1.0, colours)
     if symmetric:
@@ -156,6 +156,7 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
     """
     from PIL import Image
 
+    # The last colour is that of missing values, which Scale.shades gives the last index.
     palette = np.vstack([colours_in_steps(scale.colours), _rgb(missing[1:])])
     shades = scale.shades(values)
     # Of many pixels, a JPEG is a fraction of a PNG.

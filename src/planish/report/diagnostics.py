@@ -72,7 +72,7 @@ def draw_scale(
 ) -> Picture:
     """Draw r against the size of points, and coherence by octaves.
 
-    The band that holds the whole curve is drawn with r.
+    The band that holds the whole curve is drawn with r. ``names``: both maps in a sentence.
     """
     canvas = Canvas(FULL, 360)
     _draw_size_curve(canvas, evidence)
@@ -111,7 +111,10 @@ def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
 
 
 def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
-    """Draw r by the size of a point, its intervals, and what chance reaches."""
+    """Draw r by the logarithm of the size of a point in um, its intervals and its band.
+
+    Sizes without an r are left out; without any, nothing is drawn.
+    """
     size_rows = [row for row in evidence.sizes if is_known(row.r)]
     if not size_rows:
         return
@@ -132,7 +135,7 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
-    """Draw the coherence and the gain of each octave of wavelengths."""
+    """Draw the coherence and the gain of each octave of wavelengths, which are logarithms of um."""
     if not evidence.bands:
         return
     shortest = math.log10(min(band.shortest_um for band in evidence.bands))
@@ -246,7 +249,10 @@ def draw_correlogram(profiles: CorrelogramProfiles, *, names: TwoTexts, basis: B
 
 
 def draw_rings(agreement: AgreementFacts, *, name: str, layers: TwoTexts, basis: Basis) -> Picture:
-    """Draw how far two measurements of one map, called ``name``, agree, against wavelength."""
+    """Draw how far two measurements of one map, called ``name``, agree, against wavelength.
+
+    ``layers``: the two that were measured. The axis is the logarithm of the wavelength in um.
+    """
     canvas = Canvas(FULL, 345)
     log_wavelengths = [math.log10(ring.wavelength_um) for ring in agreement.rings]
     correlations = [ring.correlation for ring in agreement.rings]

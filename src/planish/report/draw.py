@@ -261,7 +261,8 @@ class Axes:
     ) -> None:
         """Write a text whose base line begins, ends or has its middle at a place.
 
-        The place is moved by some pixels.
+        ``anchor`` says which: start, end or middle. The place, in the units of the extent, is moved
+        by ``shift`` pixels to the right and down; ``halo`` is the colour of an outline.
         """
         x_px, y_px = map(_n, self.place((x, y))[0] + shift)
         attributes = f'x="{x_px}" y="{y_px}" font-size="{size:g}" fill="{colour}"'
@@ -287,7 +288,8 @@ class Axes:
     ) -> None:
         """Draw arrows that start at points and are as long as vectors.
 
-        Both are (n, 2), in the units of the data.
+        Both are (n, 2), in the units of the data. ``width``: of a shaft in pixels; ``halo``: colour
+        of an outline, none where it is empty.
         """
         shafts = ""
         heads = ""
@@ -457,9 +459,9 @@ class Canvas(Axes):
         log: bool = False,
         x_ticks: Ticks | None = None,
     ) -> None:
-        """Draw the left and lower axis with round numbers.
+        """Draw the left and lower axis of axes with round numbers and their labels.
 
-        ``log``: y in powers of ten; ``x_ticks``: places, texts.
+        ``log``: y are exponents of ten; ``x_ticks``: places and texts in place of round numbers.
         """
         x_min, x_max, y_min, y_max = axes.extent
         left_px = axes.x
@@ -520,9 +522,10 @@ class Canvas(Axes):
         *,
         has_y_ticks: bool = True,
     ) -> Axes:
-        """Draw a map with its axes in um.
+        """Draw a map with its axes in um, its upper left corner at a place.
 
-        Below and, on request, to the left, where ``MARGIN`` is needed for them.
+        ``box``: width and height in pixels. The axes stand below and, on request, to the left,
+        where ``MARGIN`` is needed for them.
         """
         axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
@@ -557,9 +560,10 @@ class Canvas(Axes):
         scale: Scale,
         label: str,
     ) -> Axes:
-        """Put a map with its axes and scale bar somewhere on the canvas.
+        """Put a map with its axes and scale bar somewhere on the canvas, and return its axes.
 
-        With a colour bar where there is a label.
+        The place is the upper left corner of all of it, and ``box`` width and height of the map.
+        There is a colour bar where there is a label for it.
         """
         axes = self.map_axes(x + MARGIN, y + _TOP, box, shown, scale)
         self.draw_scale_row(axes, 3)
@@ -594,8 +598,8 @@ def row_axes(
 ) -> tuple[Canvas, Axes]:
     """Return half a page with a named row for each of some values, and an axis below them.
 
-    Rows are 1 high and the first begins at 0; ``values`` are all that has to find room;
-    ``widest_px``: of the names.
+    Rows are 1 high, the first begins at 0, and y runs downwards. ``values`` are all that has to
+    find room, ``label`` names the axis, and names take at most ``widest_px`` pixels.
     """
     low, high = with_margin(values, least=0.05 * abs(max(values)) or 0.5)
     left = min(max(map(len, names)) * LETTER_PX + 16, widest_px)
@@ -615,9 +619,9 @@ def row_axes(
 
 
 def reduced(data: xr.DataArray, *, width: float) -> ShownMap:
-    """Reduce a map with coordinates in um to axes so many pixels wide, by area means.
+    """Reduce a map (y, x) with coordinates in um to axes so many pixels wide, by area means.
 
-    Rows may run upwards (height).
+    Rows may run upwards, as heights do. A map that is coarser stays as it is.
     """
     values = data.values.astype(np.float64)
     rows, cols = axes_of(data)
@@ -642,9 +646,9 @@ def axes_of(data: xr.DataArray) -> list[Array]:
 def draw_map(
     data: xr.DataArray, *, scale: Scale, label: str, width: float = HALF
 ) -> tuple[Canvas, Axes]:
-    """Draw a map on half a page, or as wide as given.
+    """Draw a map (y, x) in um on half a page, or as wide as given.
 
-    With its scale bar and, where labelled, its colour bar.
+    With its scale bar and, where labelled, its colour bar. Returns the figure and the map's axes.
     """
     map_px = width - MARGIN - BESIDE
     shown = reduced(data, width=map_px)

@@ -119,7 +119,7 @@ def details_of(model: AnyModel) -> list[Picture]:
 
 
 def tiles_of(model: AnyModel) -> list[KeyFigure]:
-    """What is explained, and what it rests on."""
+    """The figures that lead: what is explained, and what it rests on."""
     out_text = ""
     if is_known(model.r2_out):
         out_text = f"out of sample {percent(model.r2_out, 2)}"
@@ -218,7 +218,7 @@ def _table_of_cells(cells: xr.Dataset) -> Table:
 
 
 def draw_coefficients(model: AnyModel) -> Picture:
-    """Draw standardised coefficients with their intervals, the largest first."""
+    """Draw standardised coefficients with their intervals, the largest first, a row each."""
     names = strongest(model.coefficients)
     coefficients: list[Any] = [model.coefficients[name] for name in names]
     ends = [end for c in coefficients for end in c.interval if is_known(end)]

@@ -117,7 +117,8 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
 def operator_notes(results: Results) -> list[str]:
     """Return what the next run can be given, by the options of the command line.
 
-    These stand nowhere else on the page.
+    These stand nowhere else on the page. They are remedies of checks, and what could have been
+    declared and was not.
     """
     notes = [typeset(in_terminal_words(text)) for text in _remedies(results)]
     if results.evidence and not results.evidence[0].declared:

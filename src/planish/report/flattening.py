@@ -36,7 +36,11 @@ from planish.report.slices import top_sign
 def draw_flattening(
     surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureVerdict
 ) -> list[Picture]:
-    """Draw the warp, what flattening moved and strained, and whether the surface can be paper."""
+    """Draw the warp, what flattening moved and strained, and whether the surface can be paper.
+
+    ``surfaces`` and ``flat`` are (y, x), on the columns of the volume; ``strain`` is (row, col), of
+    the cells between them. The last figure is there where the needed strain is known.
+    """
     strain = strain.swap_dims(row="y", col="x")
     pictures = [_draw_warp(surfaces, flat), _draw_displacement(flat), _draw_strain(strain, flat)]
     # The strain of a patch is known where the sheet is large enough for one.
@@ -76,7 +80,11 @@ def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> Picture:
 
 
 def _draw_displacement(flat: xr.Dataset) -> Picture:
-    """Draw how far, and where to, flattening moved each column of the projection."""
+    """Draw how far, and where to, flattening moved each column of the projection.
+
+    ``u``, ``v`` are places in the flat sheet, and ``projected_u``, ``projected_v`` those before, in
+    um.
+    """
     across = _from_top(flat["u"] - flat["projected_u"], flat)
     down = _from_top(flat["v"] - flat["projected_v"], flat)
     displacement = xr.apply_ufunc(np.hypot, across, down)
@@ -103,9 +111,10 @@ def _draw_displacement(flat: xr.Dataset) -> Picture:
 
 
 def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
-    """Draw what flattening did to each cell of the mesh (y, x).
+    """Draw what flattening did to each cell of the mesh (y, x): change of area, shear and strain.
 
-    Change of area, shear, and the largest stretch.
+    ``stretch_max`` and ``stretch_min`` are the ratios of lengths, 1 without strain, in the
+    directions where they are largest and smallest; ``shear`` is an angle in rad.
     """
     area_change = 100 * (strain["area_ratio"] - 1)
     largest_stretch = np.abs(strain["stretch_max"] - 1)

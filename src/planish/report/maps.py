@@ -45,6 +45,7 @@ from planish.report.text import (
 )
 from planish.results import LayerFacts, PropertyFacts, Results
 
+Groups = Mapping[str, xr.Dataset]  # maps and what else a run holds, by the names of its groups
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
 _THINNEST = 5.0  # per cent
 _SMALLEST = 12  # pixels of a region that is outlined
@@ -57,7 +58,7 @@ class RunMaps:
     results: Results
     # ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet,
     # ``PART``.
-    data: Mapping[str, xr.Dataset]
+    data: Groups
 
     def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
         """Return what was measured of a sheet.

@@ -1,6 +1,5 @@
 """What a notebook shows of a run and of its results: key numbers, checks, and a small map."""
 
-from collections.abc import Mapping
 from html import escape
 
 import numpy as np
@@ -10,7 +9,7 @@ from planish.core.numbers import number, typeset
 from planish.core.parameter_words import in_python_words
 from planish.report.colours import colours_of, image_uri
 from planish.report.draw import axes_of, pitch
-from planish.report.maps import RunMaps
+from planish.report.maps import Groups, RunMaps
 from planish.report.summary import Titles, check_summary, summarise
 from planish.report.text import label_of
 from planish.results import Results
@@ -51,7 +50,7 @@ def results_html(results: Results, titles: Titles | None = None) -> str:
     )
 
 
-def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
+def run_html(results: Results, groups: Groups) -> str:
     """Return a run as HTML: its key numbers, and small maps of what stands for each layer.
 
     Parameters

@@ -39,6 +39,7 @@ from planish.report import (
 )
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.explain import explained_section
+from planish.report.maps import Groups, RunMaps
 from planish.report.relation import MapPair, draw_pair
 from planish.report.scales import scales_section
 from planish.report.sentences.table import Section, sentences
@@ -56,7 +57,7 @@ def write_report(
     path: str | Path,
     run: Any = None,
     *,
-    groups: Mapping[str, xr.Dataset] | None = None,
+    groups: Groups | None = None,
     marks: Mapping[str, xr.Dataset] | None = None,
     results: Results | None = None,
     figures: str | Path | None = None,
@@ -133,10 +134,10 @@ def _slug(title: str) -> str:
 
 
 def render_report(
-    groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
+    groups: Groups, marks: Mapping[str, xr.Dataset], results: Results
 ) -> tuple[str, list[Picture]]:
     """Return the page of :func:`write_report` as text, and its figures in the order shown."""
-    run_maps = maps.RunMaps(results, groups)
+    run_maps = RunMaps(results, groups)
     pictures: list[Picture] = []
 
     def numbered(picture: Picture) -> int:
@@ -179,7 +180,7 @@ def render_report(
     return f"{page}\n", pictures
 
 
-def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
+def _sheet_section(run_maps: RunMaps, layer: LayerFacts) -> Entries | None:
     """Draw all that is shown of a sheet, by the names that the template has for it.
 
     None for an image, and for a sheet whose groups are elsewhere.
@@ -211,7 +212,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> Entries | None:
 
 
 def _registration_section(
-    run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None
+    run_maps: RunMaps, layer: LayerFacts, marks: xr.Dataset | None
 ) -> Entries | None:
     """Draw how a layer lies on the reference, by the names that the template has for it.
 
@@ -267,7 +268,7 @@ def _registration_section(
 
 
 def _registration_pictures(
-    run_maps: maps.RunMaps,
+    run_maps: RunMaps,
     layer: LayerFacts,
     r: RegistrationFacts,
     marks: xr.Dataset | None,
@@ -313,8 +314,8 @@ def _registration_pictures(
     return [*filter(None, (*pictures, lags))]
 
 
-def _ground_of(run_maps: maps.RunMaps, layer: LayerFacts) -> registration.Ground:
-    """The map of the reference to draw on, with the edge of a layer."""
+def _ground_of(run_maps: RunMaps, layer: LayerFacts) -> registration.Ground:
+    """The map of the reference to draw on, with the edge of a layer that lies on its pixels."""
     reference = run_maps.results.reference
     layer_maps = run_maps.drawn[layer.name]
     valid = None
@@ -330,10 +331,10 @@ def _ground_of(run_maps: maps.RunMaps, layer: LayerFacts) -> registration.Ground
     )
 
 
-def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
-    """Give the pairs of maps that stand for two layers, and all maps of the same quantity.
+def _map_pairs(run_maps: RunMaps) -> dict[summary.PairKey, MapPair]:
+    """Give the pairs of maps that stand for two layers, and all of the same quantity.
 
-    Only where both are at hand.
+    Only those of which both maps are at hand, in the order of the correlations.
     """
     results = run_maps.results
     pairs = dict[summary.PairKey, MapPair]()
@@ -347,7 +348,7 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
     return pairs
 
 
-def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
+def _draw_pair(run_maps: RunMaps, pair: MapPair) -> Picture:
     row = pair.coarse
     with_layers = len(run_maps.results.layers) > 2 or row.a_map == row.b_map
     titles = summary.titles_of(row, run_maps.titles, with_layers=with_layers)
@@ -355,9 +356,12 @@ def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
 
 
 def _evidence_section(
-    run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
+    run_maps: RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
 ) -> Entries:
-    """Draw and say what is known of the relation of two maps beside its r, by section."""
+    """Draw and say what is known of the relation of two maps beside its r, by section.
+
+    ``pairs``: maps of which the larger points are drawn; a pair may be missing there.
+    """
     is_same_map = e.a_map == e.b_map
     map_titles: list[str] = []
     for curve in e.variograms:
@@ -382,7 +386,7 @@ def _evidence_section(
 
 
 def _evidence_pictures(
-    run_maps: maps.RunMaps,
+    run_maps: RunMaps,
     e: EvidenceFacts,
     pair: MapPair | None,
     names: text.TwoTexts,

@@ -81,7 +81,7 @@ def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> st
 def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts) -> Iterator[str]:
     """Reconcile side light, the lag of the largest r and that with slopes allowed for.
 
-    Then the strain.
+    Then the strain. ``moving``: the layer that was brought onto the other.
     """
     lag = None
     if moving.registration is not None:
@@ -113,7 +113,10 @@ def _strain_text(flatten: FlatteningQuality) -> Iterator[str]:
 
 
 def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
-    """Say why the largest r may lie at a lag that the marks exclude."""
+    """Say why the largest r may lie at a lag that the marks exclude.
+
+    ``lag``: that of the fine textures, with slopes allowed for; ``profiles``: r at all lags.
+    """
     lag_um = math.hypot(*profiles.lag_um)
     peak = (
         f"r would be largest, {fixed(profiles.peak_r, 2)}, with one map shifted by"

@@ -84,9 +84,10 @@ def ground_of(
     edge: xr.DataArray | None = None,
     edge_of: str = "",
 ) -> Ground:
-    """Return a map or image (y, x) as ground, greys of its ``valid`` pixels.
+    """Return a map or image (y, x) of a layer as ground, greys of its ``valid`` pixels.
 
-    ``edge`` is where the layer ``edge_of`` lies.
+    ``edge`` (y, x) is where another layer, ``edge_of``, lies. An image speaks for itself in a
+    caption, a map is called by its layer.
     """
     values = data.values.astype(np.float64)
     if valid is not None and valid.any():
@@ -105,9 +106,9 @@ def ground_of(
 
 
 def blank_ground(points: Array, *, layer: str) -> Ground:
-    """Return an empty ground around points (x, y).
+    """Return an empty ground around points (n, 2), (x, y) in um.
 
-    For places in coordinates of which no map is at hand.
+    For places in the coordinates of a layer of which no map is at hand.
     """
     points = points[np.isfinite(points).all(axis=1)]
     if not points.size:
@@ -244,7 +245,10 @@ def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
 
 
 def _draw_marks(canvas: Canvas, axes: Axes, marks: xr.Dataset, *, hole_um: float) -> None:
-    """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
+    """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses.
+
+    The middle of a hole has a small cross. ``marks`` are numbered in their order.
+    """
     font_size = 11
     if canvas.width == FULL:
         font_size = 14
@@ -324,7 +328,8 @@ def draw_expected_error(
 def draw_lags(lag: LagNumbers | None, ground: Ground, *, map_texts: TwoTexts) -> Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one.
 
-    None where there are none.
+    A lag leads from where the registration puts a tile to where the reference shows it. None where
+    there are none.
     """
     if lag is None:
         return None

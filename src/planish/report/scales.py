@@ -175,7 +175,10 @@ def pictures_of(octaves: Scales) -> list[Picture]:
 
 
 def draw_spread(octaves: Scales, names: Sequence[str], *, is_cov: bool) -> Picture:
-    """Draw how much maps vary in each octave: COV, or their standard deviation in one unit."""
+    """Draw how much maps vary in each octave: COV, or their standard deviation in one unit.
+
+    ``names`` of the maps; ``is_cov``: standard deviations over the mean of the map, in per cent.
+    """
     factors = dict.fromkeys(names, 1.0)
     first_map = octaves.maps[names[0]]
     label = axis_label("standard deviation", unit(first_map.units))

@@ -55,7 +55,7 @@ def lead(results: SeriesResults) -> str:
 
 
 def _lead_of_differences(results: SeriesResults) -> str:
-    """The differences of the first quantity, and how many of all are distinguishable."""
+    """The first differences of the first quantity, and how many of all are distinguishable."""
     first_quantity = results.differences[0].quantity
     same_quantity = [d for d in results.differences if d.quantity == first_quantity]
     sentences = [difference(d, results) for d in same_quantity[:_LED]]

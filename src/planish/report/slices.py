@@ -62,7 +62,10 @@ def top_sign(surfaces: xr.Dataset) -> float:
 
 
 def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
-    """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each."""
+    """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each.
+
+    The stretch is framed in the first figure, whose slices have one scale, and fills the second.
+    """
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
     stride = max(1, cuts[0].grey.size // 200_000)
@@ -142,7 +145,10 @@ def _draw_window(
 
 
 def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
-    """Draw a window of each slice, side by side, and say which line is which."""
+    """Draw a window of each slice, side by side, and say which line is which.
+
+    Lines that no slice has are not named.
+    """
     gap = 22.0  # pixels between two windows
     widest_um, highest_um = _largest(windows)
     width = 0.6 * FULL
@@ -188,7 +194,7 @@ def _largest(windows: list[Window]) -> Pair:
 def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> list[Window]:
     """Return a clear window of each span, all as high as the highest.
 
-    They can thus stand side by side.
+    They can thus stand side by side. ``margin``, in um, is that of :meth:`Slice.window`.
     """
     half_um = _WINDOW_UM / 2
     tight_windows = list[Window]()

@@ -82,7 +82,7 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
 
 
 def check_summary(results: Results) -> str:
-    """State what the checks say, the worst first."""
+    """State how many checks failed, ask for a look or were not answered, and what follows."""
     fail = len(results.checks_in("fail"))
     look = len(results.checks_in("look"))
     unknown = len(results.checks_in("unknown"))
@@ -333,7 +333,10 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
 
 
 def _stated_relation(row: CorrelationRow, a: str, b: str, results: Results, titles: Titles) -> str:
-    """State r of the larger points of two maps that are called ``a`` and ``b``."""
+    """State r of the larger points of two maps that are called ``a`` and ``b``.
+
+    Without an interval nothing is stated; where it holds 0, that the relation is not certain.
+    """
     is_image = results.layer(row.b).kind == "image"
     are_images = is_image and results.layer(row.a).kind == "image"
     points_text = f"{count(row.n)} points of {point_of(row)}"
@@ -410,7 +413,10 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
 
 
 def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    """The summary of several layers: how well the worst lies, and the weakest relation."""
+    """The summary of several layers: how well the worst lies, and the weakest relation.
+
+    Where two maps of one quantity differ by a known amount, the first such difference, too.
+    """
     reference = results.reference.name
     sentence = (
         f"The layers {and_join(layer.name for layer in results.moving)} were brought onto the"

@@ -55,7 +55,11 @@ def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
 
 
 def comparison(results: Results) -> list[PairLine]:
-    """Return the registrations that the paper compares, with both point sizes in one line each."""
+    """Return the registrations that the paper compares, with both point sizes in one line each.
+
+    Before them stands the residual of the marks in um, and behind them how much larger r is with
+    the run's own registration, which stands out.
+    """
     rows_by_registration = grouped(results.comparison, lambda row: row.registration)
     lines: list[PairLine] = []
     for name, rows in rows_by_registration.items():
@@ -116,7 +120,10 @@ def _side_light_text(results: Results) -> str:
 def _flat_and_projected(
     rows: list[ComparisonRow], point_um: float
 ) -> tuple[ComparisonRow | None, ComparisonRow | None]:
-    """Return the run's own registration and the better projection, at points of one size."""
+    """Return the run's own registration and the better projection, at points of one size.
+
+    None of one that is missing. The run's own is called ``flattened`` with its model.
+    """
     flat = None
     projected: list[ComparisonRow] = []
     for row in rows:

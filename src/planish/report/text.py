@@ -77,10 +77,19 @@ def template(package: str, name: str) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filter_names = ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit")
+    filter_names = (
+        "capital",
+        "count",
+        "fixed",
+        "in_words",
+        "number",
+        "percent",
+        "typeset",
+        "unit",
+        "with_article",
+    )
     filters: Entries = {name: getattr(numbers, name) for name in filter_names}
-    filters |= {"length_um": numbers.length, "limit": numbers.with_unit}
-    filters |= {"is_known": is_known, "with_article": numbers.with_article}
+    filters |= {"length_um": numbers.length, "limit": numbers.with_unit, "is_known": is_known}
     environment.filters.update(filters)
     return environment.get_template(name)
 

@@ -61,6 +61,7 @@ class FigureRow:
 
 
 MakeRow = Callable[..., FigureRow]
+FigureRows = Sequence[FigureRow]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

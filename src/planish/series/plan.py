@@ -127,7 +127,12 @@ class _TableRow:
 
 
 def _rows_of(path: Path, text: str) -> list[_TableRow]:
-    """Specimens of a CSV table; a decimal comma in an option is a fault."""
+    """Specimens of a CSV table, as text.
+
+    A column with a point in its name is an option, ``layers`` holds files with semicolons between
+    them, and others are names, files or factors. A decimal comma in an option is a fault; faults
+    are raised together as InputError.
+    """
     table = parse_table(text, path.name, needed=(), error=InputError, advice=f"{_NEEDED}.")
     if not {"volume", "layers"} & set(table.header):
         table.faults.append(
@@ -159,7 +164,11 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
 
 
 def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
-    """Complete a plan by a study file: its specimens, what they share, and what is compared."""
+    """Complete a plan by a study file: its specimens, what they share, and what is compared.
+
+    Tables that are not those of a series, [[specimens]], [compare] and [watch], hold options of all
+    specimens. ``text``: content of the file.
+    """
     sections = toml_tables(path, text)
     if not {"specimens", "watch"} & set(sections):
         raise FileError(
@@ -200,7 +209,10 @@ def _is_list_of(kind: type, value: object) -> bool:
 
 
 def _row_of_toml(table: Fields, location: str, faults: list[str]) -> _TableRow:
-    """A specimen of a study file; what is wrong with its values is added to the faults."""
+    """A specimen of a study file; what is wrong with its values is added to the faults.
+
+    ``table``: values by their keys; ``location``: its line, for messages.
+    """
     cells: dict[str, str] = {}
     lists: dict[str, Texts] = {}
     for name, value in table.items():
@@ -225,6 +237,7 @@ def _check_common(path: Path, text: str, sections: Fields) -> None:
             f" take them out, or write layers = {_EXAMPLES['layers']} under [[specimens]]."
         )
     tables = dict(sections)
+    # A study needs its files, which stand with the specimens here: any name will do.
     for kind in ("volume", "image"):
         table = tables.get(kind, {})
         if isinstance(table, dict):
@@ -233,7 +246,11 @@ def _check_common(path: Path, text: str, sections: Fields) -> None:
 
 
 def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
-    """Complete a plan by its specimens; all that is wrong with them is raised at once."""
+    """Complete a plan by its specimens; all that is wrong with them is raised at once.
+
+    ``path``: of the table, for messages. Names are made where none is given, and files become
+    absolute.
+    """
     if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
     faults: list[str] = []
@@ -253,6 +270,7 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
 
 
 def _faults_of(row: _TableRow, name: str) -> Iterator[str]:
+    """What is wrong with the files and the name of a specimen."""
     if row.layers and row.named_files:
         yield "give layers, or volume and image, not both"
     if not row.layers and "volume" not in row.cells:
@@ -286,22 +304,28 @@ def _check_compared(path: Path, compared: str, specimens: Sequence[PlannedSpecim
 
 
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
-    """Names as given; else the factors, or the files, whichever tells all specimens apart."""
+    """Names as given; else made of the factors, or the files, or numbers.
+
+    Whichever tells all specimens apart is taken, in this order. ``home``: folder to which files are
+    relative.
+    """
     by_factor = ["-".join(row.factors.values()) for row in rows]
     by_file: list[str] = []
     for row in rows:
+        # The first layer, NAME=PATH where it has a name, or the volume.
         files = [*row.layers, row.cells.get("volume", "")]
         file = files[0].rpartition("=")[2]
         by_file.append(find_place(home / file).stem if file else "")
     width = len(str(len(rows)))
     guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]
-    for names in (by_file, by_factor):
+    for names in (by_file, by_factor):  # the last one that fits holds
         if all(names) and len({*map(str.casefold, names)}) == len(names):
             guesses = [checked_name(name) for name in names]
     return [row.cells.get("name", guess) for row, guess in zip(rows, guesses, strict=True)]
 
 
 def _fault_of(name: str) -> str | None:
+    """Why a text cannot be the name of a folder on any system; None where it can."""
     if not name.strip() or name.startswith("."):
         return "a name begins with a letter or a digit"
     character = _NO_NAME.search(name)
@@ -318,6 +342,7 @@ def checked_name(guess: str) -> str:
 
 
 def _absolute(file: str, home: Path) -> str:
+    """A file with its whole path, behind NAME= where it was given so and is no file's own name."""
     name, equals_sign, path = file.partition("=")
     if equals_sign and path and not find_place(home / file).path.exists():
         return f"{name}={os.path.normpath(home / path)}"

@@ -5,7 +5,7 @@ These are statistics of the leading maps, and their correlation.
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from planish.core.errors import InputError
 from planish.core.numbers import in_words
@@ -14,7 +14,7 @@ from planish.core.text import likely
 from planish.measure import property_names, registered
 from planish.report.text import as_compared
 from planish.series.declared import Declared
-from planish.series.gather import FigureRow, RunSummary
+from planish.series.gather import FigureRow, FigureRows, RunSummary
 from planish.series_results import Cell, Quantity, What
 
 _STATISTICS: tuple[What, ...] = ("mean", "sd", "thin_share")
@@ -53,18 +53,19 @@ def margin_of(quantity: Quantity, declared: Declared) -> float | None:
 
 
 def quantities_of(
-    rows: Sequence[FigureRow], runs: Mapping[str, RunSummary], declared: Declared
+    rows: FigureRows, runs: Mapping[str, RunSummary], declared: Declared
 ) -> tuple[Quantity, ...]:
     """Give the quantities that are compared.
 
     Of each leading map these are its mean, standard deviation and thin share, and r with the other
-    map.
+    map. ``rows`` are those of all runs; ``runs``: what is kept of each, by specimen.
 
     Maps lead that are declared (InputError for one in no run), or else stand for most runs; those
     with a margin follow.
     """
     thin_um = declared.thin_um
     if thin_um is None:
+        # The limit that most runs have.
         limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
         thin_um = max(limits, key=limits.__getitem__, default=None)
     quantities: list[Quantity] = []
@@ -77,8 +78,9 @@ def quantities_of(
 
 
 def _leading_maps(
-    rows: Sequence[FigureRow], runs: Mapping[str, RunSummary], declared: Declared
+    rows: FigureRows, runs: Mapping[str, RunSummary], declared: Declared
 ) -> list[str]:
+    """Maps whose quantities are compared, the one that leads first; as :func:`quantities_of`."""
     maps = {row.map for row in rows if row.quantity == "mean"}
     declared_maps = maps_of(declared)
     for name in declared_maps:
@@ -93,9 +95,13 @@ def _leading_maps(
 
 
 def _statistics(
-    rows: Sequence[FigureRow], name: str, layer: str, thin_um: float | None
+    rows: FigureRows, name: str, layer: str, thin_um: float | None
 ) -> Iterator[Quantity]:
-    """Mean, standard deviation and thin share of a map, where a run has them."""
+    """Mean, standard deviation and thin share of a map, where a run has them.
+
+    ``rows``: of that map; ``layer``: its layer, empty where each run has one sheet; ``thin_um``:
+    limit of the thin share, None for none.
+    """
     map_title = _in_words(name, layer)
     titles: dict[What, str] = {
         "mean": f"mean {map_title}",
@@ -120,9 +126,12 @@ def _statistics(
 
 
 def _row_of(
-    rows: Sequence[FigureRow], statistic: tuple[str, str, str], at_um: float | None
+    rows: FigureRows, statistic: tuple[str, str, str], at_um: float | None
 ) -> FigureRow | None:
-    """The row of a quantity, a map and a layer; at a limit, where it is of one."""
+    """The first row of a quantity, map and layer, ``statistic``; at a limit, where it is of one.
+
+    None where there is none.
+    """
     for row in rows:
         is_alike = at_um is None or _alike(row.at_um, at_um)
         if is_alike and (row.quantity, row.map, row.layer) == statistic:
@@ -140,10 +149,11 @@ def _in_words(name: str, layer: str) -> str:
     return in_words(title) + (f" of {layer}" if layer else "")
 
 
-def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
+def _correlations(rows: FigureRows, name: str) -> list[Quantity]:
     """Give the correlations of a map at the usual points.
 
-    They are with the images, or with the same map of another sheet.
+    They are with the images, or with the same map of another sheet. Usual are the points that are
+    the largest of most specimens, and of as many the larger ones.
     """
     size_counts: dict[Pair, Counter[float]] = {}
     for specimen_rows in grouped(rows, lambda row: row.specimen).values():
@@ -170,7 +180,7 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     return quantities
 
 
-def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
+def _largest_points(rows: FigureRows, name: str) -> dict[Pair, float]:
     """Size of the largest points over which a map was correlated, by pair."""
     largest_um: dict[Pair, float] = {}
     for row in rows:
@@ -183,14 +193,17 @@ def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
 
 
 def _pair_of(row: FigureRow) -> Pair | None:
+    """The pair of a row, the sheet first; None unless it is with an image or the same map."""
     sheet = (row.layer, row.map)
     other = (row.other_layer, row.other_map)
     if row.map == "image" != row.other_map:
         sheet, other = other, sheet
-    return (*sheet, *other) if other[1] in ("image", sheet[1]) else None
+    if other[1] not in ("image", sheet[1]):
+        return None
+    return (*sheet, *other)
 
 
-def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
+def cell_of(rows: FigureRows, q: Quantity, *, with_doubtful: bool) -> Cell:
     """Give a quantity of the specimen that rows are of.
 
     It says whether it takes part in means, as doubtful figures may.
@@ -209,8 +222,11 @@ def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> C
     return Cell(why_not="not measured")
 
 
-def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
-    """As :func:`cell_of`, of a correlation: at the usual points, or else its largest."""
+def _cell_of_r(rows: FigureRows, q: Quantity, *, with_doubtful: bool) -> Cell:
+    """As :func:`cell_of`, of a correlation: at the usual points, or else its largest.
+
+    At others than the usual points it takes part in no mean.
+    """
     pair = (q.layer, q.map, q.other_layer, q.other_map)
     pair_rows = [row for row in rows if _pair_of(row) == pair]
     largest_um = _largest_points(pair_rows, q.map)
@@ -234,7 +250,7 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     )
 
 
-def _rows_at(rows: Sequence[FigureRow], at_um: float | None) -> dict[str, FigureRow]:
+def _rows_at(rows: FigureRows, at_um: float | None) -> dict[str, FigureRow]:
     """Rows of one size of points, by their quantities."""
     return {row.quantity: row for row in rows if _alike(row.at_um, at_um)}
 
@@ -246,7 +262,9 @@ def _why_not(row: FigureRow, *, with_doubtful: bool) -> str:
         return f"withheld{by}"
     if row.value is None:
         return "not measured"
-    return f"doubtful{by}" if row.trust == "doubtful" and not with_doubtful else ""
+    if row.trust == "doubtful" and not with_doubtful:
+        return f"doubtful{by}"
+    return ""
 
 
 def _why_not_of_r(r: FigureRow, n_eff: float, usual_um: float | None) -> str:

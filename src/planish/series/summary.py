@@ -19,7 +19,7 @@ from planish.core.text import likely
 from planish.core.typing import Entries, Texts
 from planish.series.cautions import NEST, cautions_of, specimens_without
 from planish.series.declared import Declared
-from planish.series.gather import FigureRow, Gathered
+from planish.series.gather import FigureRow, FigureRows, Gathered
 from planish.series.quantities import cell_of, margin_of, quantities_of
 from planish.series_results import (
     DifferenceFacts,
@@ -95,7 +95,10 @@ def _differences(
     quantities: Sequence[Quantity],
     declared: Declared,
 ) -> Iterator[DifferenceFacts]:
-    """Differences with p of all of them, and what their margins say."""
+    """Differences with p of all of them together (Holm), and what their margins say.
+
+    ``equivalence`` is None where no margin was declared for the quantity.
+    """
     adjusted = analyze.p_of_tables([difference for _, difference in pairs])
     for (labels, _), difference in zip(pairs, adjusted, strict=True):
         margin = margin_of(quantities[labels["quantity"]], declared)
@@ -106,10 +109,11 @@ def _differences(
         )
 
 
-def _near_common_axes(rows: Sequence[FigureRow]) -> list[FigureRow]:
+def _near_common_axes(rows: FigureRows) -> list[FigureRow]:
     """Give mean axes as angles near the axis of all of their map: such have means and differences.
 
-    They may pass 90 degrees.
+    An axis is the same at 180 degrees more: 89 and -89 are close, though their mean is far from
+    both. Such angles may pass 90 degrees. Other rows stay as they are.
     """
     axes: dict[str, list[float]] = {}
     for row in rows:
@@ -160,11 +164,14 @@ def _varies(gathered: Gathered, factor: str) -> bool:
 
 def _specimens(
     gathered: Gathered,
-    rows: Sequence[FigureRow],
+    rows: FigureRows,
     quantities: Sequence[Quantity],
     declared: Declared,
 ) -> list[SeriesSpecimen]:
-    """Every specimen with its sheet and its cells; those without a run have neither."""
+    """Every specimen with its sheet and its cells; those without a run have neither.
+
+    A sheet is named by its paper and its own name, or by the first specimen of the same volume.
+    """
     rows_by_specimen = grouped(rows, lambda row: row.specimen)
     first_of_volume: dict[Texts, str] = {}
     specimens: list[SeriesSpecimen] = []
@@ -192,7 +199,7 @@ def _by_levels(specimens: Specimens, factors: Sequence[str]) -> dict[Texts, list
 
 
 def _fields(specimens: Specimens, k: int, *, with_names: bool = False) -> analyze.Fields:
-    """One quantity of some specimens; those that do not count are missing."""
+    """Quantity number ``k`` of some specimens with their sheets; NaN where it does not count."""
     cells = [specimen.cells[k] for specimen in specimens]
     values = [cell.value if cell.counts and cell.value is not None else math.nan for cell in cells]
     names = [specimen.factor("field") for specimen in specimens] if with_names else []
@@ -212,6 +219,7 @@ def _groups(
 
 
 def _mean_of(members: Specimens, k: int, quantity: Quantity) -> analyze.SheetMean:
+    """The mean of a quantity over sheets: of r pooled, of others with the spread between sheets."""
     fields = _fields(members, k)
     if quantity.what == "r":
         n_effs = [specimen.cells[k].n_eff_interval for specimen in members]
@@ -232,7 +240,8 @@ def _pairs(
 ) -> Iterator[LabelledDifference]:
     """Compare every quantity of every two levels of a factor; none without one.
 
-    This is done within each level of the other factors that make groups.
+    This is done within each level of the other factors that make groups. There is nothing to
+    compare of one level, and of too many.
     """
     if factor is None:
         return
@@ -268,7 +277,10 @@ def _levels_in_order(specimens: Specimens, factor: str) -> list[str]:
 def _compare(
     first: Specimens, second: Specimens, k: int, quantity: Quantity
 ) -> analyze.SheetDifference:
-    """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
+    """Compare two sets of specimens: paired where they have sheets in common, by named fields.
+
+    ``k``: number of the quantity. Without names for all fields, the means of sheets pair.
+    """
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
     has_fields = paired and all(map(_have_fields, (first, second)))
     fields = [_fields(specimens, k, with_names=has_fields) for specimens in (first, second)]

@@ -33,7 +33,11 @@ class WatchParams(Params):
 
 
 def watch_params(plan: Plan) -> WatchParams:
-    """The patterns of a plan; InputError where they are missing or do not fit together."""
+    """The patterns of a plan; InputError where they are missing or do not fit together.
+
+    Volume and image have the same factors, by which their files pair; each stands in the name of a
+    volume once.
+    """
     example = "[watch] with volume = '{sheet}_ct.tif' and image = '{sheet}_img.tif'"
     if not plan.watch:
         raise InputError(
@@ -54,7 +58,10 @@ def watch_params(plan: Plan) -> WatchParams:
 
 
 def _specimens_in(folder: Path, params: WatchParams) -> Iterator[PlannedSpecimen]:
-    """Specimens whose files are all in a folder."""
+    """Specimens whose files are all in a folder, in the order of their names.
+
+    The name of a volume gives the factors, and these the name of its image and of the specimen.
+    """
     place = find_place(params.volume)
     texts = _FACTOR.split(str(place.path))  # of a name, every second one is a factor
     for k, text in enumerate(texts):
@@ -65,6 +72,7 @@ def _specimens_in(folder: Path, params: WatchParams) -> Iterator[PlannedSpecimen
         if match is None:
             continue
         factors = match.groupdict()
+        # A volume may be a part of a file, FILE:PART.
         files = [Path(f"{entry}:{place.part}") if place.part else entry]
         if params.image:
             files.append(folder / params.image.format(**factors))
@@ -116,17 +124,18 @@ def watched(
     # Name of a specimen that was taken or refused -> stamp of its files.
     judged_stamps: dict[str, str] = {}
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
-    last = clock()
+    last = clock()  # when the last specimen was given
     while True:
         has_new = False
         for specimen in _specimens_in(folder, params):
             name = specimen.name
             files = [*map(Path, specimen.files)]
             stamp = " ".join(map(stamp_of, files))
-            if since.get(name, ("", 0.0))[0] != stamp:
+            earlier_stamp, seen_s = since.get(name, ("", 0.0))
+            if earlier_stamp != stamp:
                 since[name] = (stamp, clock())
                 continue
-            if clock() - since[name][1] < settle_s or judged_stamps.get(name) == stamp:
+            if clock() - seen_s < settle_s or judged_stamps.get(name) == stamp:
                 continue
             judged_stamps[name] = stamp
             fault = _incomplete(files)
@@ -143,6 +152,7 @@ def watched(
 
 
 def _incomplete(files: list[Path]) -> str | None:
+    """Why one of some files is not complete, as its reader says; None where all are."""
     for file in files:
         try:
             if not describe(file)["shape"]:

@@ -54,6 +54,7 @@ def run_series(
     job_compute = _compute_of_job(compute, jobs)
 
     def open_jobs() -> Iterator[Job | None]:
+        """Jobs of the specimens as they come; those that are done already are told at once."""
         for specimen in plan.specimens if coming is None else coming:
             if specimen is None:
                 yield None
@@ -73,7 +74,7 @@ def run_series(
 
 
 def _compute_of_job(compute: Compute, jobs: int) -> Compute:
-    """What one of several jobs may use."""
+    """What one of ``jobs`` jobs at a time may use."""
     if compute.scheduler is not None:  # one thread, since the scheduler counts threads
         changes = {"scheduler": None, "threads": compute.threads or 1}
     elif jobs > 1:
@@ -86,6 +87,7 @@ def _compute_of_job(compute: Compute, jobs: int) -> Compute:
 
 @contextmanager
 def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
+    """Workers of the scheduler, or as many processes as jobs; the latter end with the context."""
     if compute.scheduler is not None:
         with engine(compute) as cluster:
             assert cluster.executor is not None
@@ -103,12 +105,14 @@ def _run_jobs(
 ) -> Generator[tuple[Job, Note]]:
     """Keep all workers busy with jobs, taken as there is room (None: none as yet).
 
-    Give outcomes as they come.
+    Give outcomes as they come. A job whose process was lost is tried as often as the workers say,
+    and then noted as killed.
     """
     running: dict[Future[Note], Job] = {}
     tries: Counter[str] = Counter()
     retries: deque[Job] = deque()
     while True:
+        # The last thing that came: a job, None, or _END where there are no more jobs.
         coming = _END
         while len(running) < workers.at_once:
             coming = retries.popleft() if retries else next(jobs, _END)
@@ -134,7 +138,7 @@ def _ended(
 ) -> Iterator[tuple[Job, Note | None]]:
     """Jobs that end, taken off those that run; without a note where one was lost.
 
-    With an idle worker it is not waited for long: there may be more to do.
+    At least one is waited for. With an idle worker that is not for long: there may be more to do.
     """
     timeout_s = _PAUSE if is_idle else None
     finished, _ = wait(running, timeout=timeout_s, return_when=FIRST_COMPLETED)
@@ -184,6 +188,7 @@ class _Processes:
         self._used: dict[Future[Note], ProcessPoolExecutor] = {}
 
     def start(self, job: Job) -> Future[Note]:
+        """Begin a job in a process that is free, or in a new one."""
         self._free += [self._used.pop(future) for future in [*self._used] if future.done()]
         # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
         spawn_context = multiprocessing.get_context("spawn")

@@ -6,11 +6,13 @@ from planish.analyze.agreement import AgreementFacts
 from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.core.facts import is_known
 from planish.core.numbers import count, fixed, limits_text, number, plain, typeset, unit
-from planish.report.sentences.wording import Wording
 
 
-def say_agreement(agreement: AgreementFacts, evidence: EvidenceFacts, _: Wording) -> Iterator[str]:
-    """Down to which wavelength two measurements agree, and how far they differ."""
+def say_agreement(agreement: AgreementFacts, evidence: EvidenceFacts, *_: object) -> Iterator[str]:
+    """Down to which wavelength two measurements agree, and how far they differ.
+
+    Where a ratio of the variances of their errors was declared, the line between both, too.
+    """
     if agreement.sentence:
         yield typeset(agreement.sentence)
     if is_known(agreement.bias) and is_known(agreement.point_um):

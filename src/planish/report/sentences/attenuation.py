@@ -38,9 +38,9 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
             continue
         # `plain` writes the unit too.
         size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
-        share_text = ("below " if reliability.value > 0.99 else "") + percent(
-            max(1 - reliability.value, 0.01), 1
-        )
+        share_text = percent(max(1 - reliability.value, 0.01), 1)
+        if reliability.value > 0.99:
+            share_text = f"below {share_text}"
         text = (
             f"Odd and even rows of columns are two half measurements of {map_text}: {size_text}"
             f" they correlate with r {_near_one(reliability.halves_r)}, so that noise which differs"
@@ -48,9 +48,9 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
         )
         if k == len(evidence.reliability) - 1 and evidence.attenuation_limit_noise is not None:
             limit_both = evidence.attenuation_limit_both
-            shift_text = (
-                "" if limit_both is None else f", r {_near_one(limit_both)} with misplacement, too"
-            )
+            shift_text = ""
+            if limit_both is not None:
+                shift_text = f", r {_near_one(limit_both)} with misplacement, too"
             noise_r = _near_one(evidence.attenuation_limit_noise)
             text += f"; with such noise alone a perfect relation would show r {noise_r}{shift_text}"
         yield (
@@ -64,4 +64,6 @@ def _near_one(value: float) -> str:
 
     More than two nines would claim what halves of one scan cannot show.
     """
-    return "above 0.99" if value > 0.99 else f"= {fixed(value, 2)}"
+    if value > 0.99:
+        return "above 0.99"
+    return f"= {fixed(value, 2)}"

@@ -10,10 +10,9 @@ from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
 def say_conley_interval(conley: ConleyInterval, *_: object) -> Iterator[str]:
     """The second interval, where there is one."""
     if interval_text := limits_text(conley.interval, decimals_of_r(conley.interval)):
-        is_uneven = conley.ratio > UNEVEN
-        caveat = (
-            "the maps vary unevenly" if is_uneven else "it is too narrow for maps with a long range"
-        )
+        caveat = "it is too narrow for maps with a long range"
+        if conley.ratio > UNEVEN:
+            caveat = "the maps vary unevenly"
         yield (
             f"Conley interval, from what single points of {plain(conley.point_um)} add to r:"
             f" {interval_text} ({fixed(conley.critical, 2)} standard errors);"

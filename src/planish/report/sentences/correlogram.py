@@ -8,7 +8,10 @@ from planish.core.numbers import fixed, plain
 
 
 def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
-    """Where both maps agree best, and what unrelated maps reach."""
+    """Where both maps agree best, and what unrelated maps reach.
+
+    Where there is no peak of r within the lags that were tried, that.
+    """
     limit_text = (
         f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated"
         " maps"

@@ -31,7 +31,10 @@ _SURFACES = {
 
 
 def say_answer(model: AnyModel) -> str:
-    """The answer: what is explained, by which map most, and whether that is certain."""
+    """The answer: what is explained, by which map most, and whether that is certain.
+
+    Maps come from the largest standardised coefficient on.
+    """
     sentences = [_say_share(model)]
     coefficients: Fields = model.coefficients
     order = strongest(model.coefficients)
@@ -55,10 +58,13 @@ def say_coefficient(coefficient: Any) -> str:
     if not is_known(coefficient.interval):
         return f"{fixed(coefficient.standardised, 2)}, without an interval"
     text = f"{fixed(coefficient.standardised, 2)} (95 %: {interval_text(coefficient.interval)})"
-    return text if coefficient.direction else f"{text}, not distinguishable from 0"
+    if coefficient.direction:
+        return text
+    return f"{text}, not distinguishable from 0"
 
 
 def _say_share(model: AnyModel) -> str:
+    """Say how much of the variance the maps explain, and how much out of sample."""
     titles = [in_words(coefficient.title) for coefficient in model.coefficients.values()]
     verb = "explains" if len(titles) == 1 else "together explain"
     out_text = ""
@@ -72,6 +78,7 @@ def _say_share(model: AnyModel) -> str:
 
 
 def _say_lead(model: AnyModel, order: list[str]) -> str:
+    """Say whether the largest coefficient is larger than the second one beyond chance."""
     first, second = (in_words(model.coefficients[name].title) for name in order[:2])
     if not is_known(model.lead_interval):
         return f"Whether {first} matters more than {second} is not known."
@@ -100,7 +107,10 @@ def independent_cells(model: AnyModel) -> str:
 
 
 def say_surer(model: AnyModel) -> list[str]:
-    """What would make a model more certain; at most three sentences."""
+    """What would make a model more certain; at most three sentences.
+
+    Of a series, more sheets; of one field doubts of the checks first, and then a larger field.
+    """
     sentences: list[str] = []
     if isinstance(model, ExplainedSeries):
         if model.left_out:
@@ -212,7 +222,8 @@ def _say_sizes(model: Explained) -> Iterator[str]:
     if len(rows) < 2:
         return
     name = strongest(model.coefficients)[0]
-    first, last = rows[0], rows[-1]
+    first = rows[0]
+    last = rows[-1]
     yield (
         f"Over other cells the model is another one: {in_words(model.coefficients[name].title)} has"
         f" {fixed(first.standardised[name], 2)} over cells of {plain(first.cell_um)} and"
@@ -221,7 +232,10 @@ def _say_sizes(model: Explained) -> Iterator[str]:
 
 
 def _say_sharing(model: Explained) -> Iterator[str]:
-    """Say which maps share an error of one surface, and what that does to their coefficients."""
+    """Say which maps share an error of one surface, and what that does to their coefficients.
+
+    A corrected model tells how far coefficients were moved before, others how far they are now.
+    """
     for surface, surface_text in _SURFACES.items():
         pairs = [(e.a, e.b) for e in model.shared_errors if e.surface == surface]
         names = dict.fromkeys(name for pair in pairs for name in pair)
@@ -233,9 +247,12 @@ def _say_sharing(model: Explained) -> Iterator[str]:
             )
     moves: list[str] = []
     for c in model.coefficients.values():
-        of_plain_text = "" if model.corrected else f" of {number(c.plain)}"
-        if is_known(c.by_errors):
-            moves.append(f"{in_words(c.title)} by {number(c.by_errors, 2)}{of_plain_text}")
+        if not is_known(c.by_errors):
+            continue
+        move = f"{in_words(c.title)} by {number(c.by_errors, 2)}"
+        if not model.corrected:
+            move += f" of {number(c.plain)}"
+        moves.append(move)
     if moves and model.corrected:
         yield (
             "The stated errors moved the plain coefficients before they were taken off:"

@@ -14,7 +14,9 @@ def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
     if curve.reason is not None:
         yield f"{title}: none. {curve.reason}"
         return
-    unit_text = "m²/kg" if curve.weight else "per µm"
+    unit_text = "per µm"
+    if curve.weight:
+        unit_text = "m²/kg"
     interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
     backing_text = _limits_text(curve.backing_interval)
     yield (
@@ -26,4 +28,7 @@ def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
 
 
 def _limits_text(limits: Pair) -> str:
-    return f"95 %: {number(limits[0])} to {number(limits[1])}" if is_known(limits) else ""
+    if not is_known(limits):
+        return ""
+    low, high = map(number, limits)
+    return f"95 %: {low} to {high}"

@@ -6,10 +6,9 @@ from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.core.facts import is_known
 from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
-from planish.report.sentences.wording import Wording
 
 
-def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, _: Wording) -> Iterator[str]:
+def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, *_: object) -> Iterator[str]:
     """R of short waves, where it has an interval."""
     if is_known(short_waves.interval) and evidence.short_waves_um:
         decimals = decimals_of_r(short_waves.interval)

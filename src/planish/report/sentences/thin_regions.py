@@ -2,16 +2,13 @@
 
 from collections.abc import Iterator
 
-from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.analyze.thin_regions import RegionDifference
 from planish.core.facts import is_known
 from planish.core.numbers import number, percent, plain
 from planish.report.sentences.wording import Wording
 
 
-def say_thin(
-    regions: tuple[RegionDifference, ...], _: EvidenceFacts, words: Wording
-) -> Iterator[str]:
+def say_thin(regions: tuple[RegionDifference, ...], _: object, words: Wording) -> Iterator[str]:
     """How the image differs where the coating is thin."""
     for region in regions:
         if is_known(region.interval):
