@@ -49,18 +49,15 @@ class OutputFile(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """An export of a run that was asked for, to a file or a folder.
-
-    With the run's ``store`` where this is as the run is.
-    """
+    """An export of a run that was asked for, to a file or a folder."""
 
     run: Run
-    store: Path | None
+    store: Path | None  #: maps.zarr of its folder; None of a run in memory, which may differ
     params: ExportParams
     compute: Compute
     progress: Progress
-    out: Path
-    is_single_file: bool
+    out: Path  #: new file, or new folder of the files
+    is_single_file: bool  #: whether ``out`` is a file, or a folder that is one of the format
 
     @property
     def file_format(self) -> ExportFormat:
@@ -70,7 +67,7 @@ class ExportRequest:
     def write(self, content: object, path: Path) -> None:
         """Write a content of the format to a new path, a file or a folder."""
         history = run_contents.history_of(self.run)
-        # The working store of a volume.
+        # A volume as OME-Zarr is the store in which the program itself keeps volumes.
         if isinstance(content, xr.DataArray) and self.file_format.is_folder:
             volume = content.assign_attrs(history=history.json(**volume_facts(content)))
             write_store(volume, path, memory_bytes=self.compute.block_bytes)
@@ -365,7 +362,7 @@ def export(
     out = Path(out)
     is_single_file = is_file(params.to, out)
     refuse_existing(out)
-    writer_of(params.to)
+    writer_of(params.to)  # a library that is missing is named before anything is read
     # A run in memory may have been changed since it was read.
     store = None
     if not isinstance(run, Run):

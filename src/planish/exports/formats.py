@@ -62,11 +62,10 @@ class ExportFormat:
 
     def endings_of(self, *, affine: bool) -> Texts:
         """Ends of the files of one direction of a registration."""
-        if not self.endings:
-            return self.suffixes[:1]
+        endings = self.endings or self.suffixes[:1]
         if affine:
-            return self.endings[:1]
-        return self.endings
+            return endings[:1]
+        return endings
 
 
 _BOTH = (

@@ -101,6 +101,7 @@ def write_obj(surface: Surface, path: Path, history: ExportHistory, params: Expo
     if mesh.colours is not None:
         node_values = np.column_stack([node_values, mesh.colours / 255.0])
         node_format = f"{node_format} %.4f %.4f %.4f"
+    # Nodes are counted from 1.
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {mesh.description}\n# {history.json()}\no {surface.name}\n")
         for table, row_format in ((node_values, node_format), (mesh.quads + 1, "f %d %d %d %d")):
@@ -120,6 +121,7 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     mesh = mesh_of(surface, params)
     halves_of_cell = [[0, 1, 2], [0, 2, 3]]  # its corners in each of two triangles
     corners = mesh.quads[:, halves_of_cell].reshape(-1, 3)
+    # A triangle in the file: its normal, three corners (x, y, z), and its colour.
     record = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
     triangles = np.zeros(len(corners), record)
     vertices = mesh.points[corners]

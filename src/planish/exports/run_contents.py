@@ -98,10 +98,11 @@ def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
     Among those of a sheet may be the image, which is brought onto the flat sheet here.
     """
     maps = run.groups[group]
-    # Means over areas where it is finer, through the marks.
+    # Means over areas where the image is finer, placed by the registration.
     if IMAGE in names and IMAGE not in maps:
         image = run.groups["linked"][IMAGE].compute()
-        # Seen from its fixed layer, a fit takes an image there back to the moving one.
+        # resample_image carries a moving layer over to a fixed one, by the inverse of their fit.
+        # Here the image is the fixed layer: turned around, that inverse is the fit itself.
         (sheet,) = run.results.moving
         reversed_fit = SimpleNamespace(inverse=run.registrations[sheet.name].fit)
         image = image.assign_attrs(pixel_um=Grid.of(image).pixel_um)
@@ -115,13 +116,13 @@ def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
 def map_levels(store: Path | None, group: str, name: str) -> list[Path]:
     """Folders of a map and its overviews in the store of a run, the finest first.
 
-    None where it is not stored.
+    Empty where it is not stored, as of a run in memory, which has no ``store``.
     """
     if store is None:
         return []
     groups = (group, *overviews_of(store, group))
     folders = (map_folder(store, level_group, name) for level_group in groups)
-    return [folder for folder in folders if folder is not None]
+    return [*filter(None, folders)]
 
 
 def scale_of(maps: xr.Dataset, name: str) -> Scale:
@@ -147,7 +148,7 @@ def scale_of(maps: xr.Dataset, name: str) -> Scale:
 
 
 def sheet_facts(run: Run) -> LayerFacts | None:
-    """The layer whose surfaces a run holds."""
+    """The layer whose surfaces a run holds; None where it holds none."""
     if "surfaces" not in run.groups:
         return None
     return next((layer for layer in run.results.layers if layer.sheet is not None), None)
@@ -241,7 +242,7 @@ def _mapped_layer(run: Run, name: str) -> GivenLayer:
 def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
     """Choose the moving layers with a registration: all, or the one of a name.
 
-    InputError where there is none.
+    ``group``: NAME or layers/NAME; None or linked for all. InputError where there is none.
     """
     moving = list(run.results.moving)
     if not moving:
@@ -271,7 +272,8 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     target = layer.registration.to
     fit = run.registrations[layer.name].fit
     transform = fit.transform
-    # The point of the moving layer around which the affine map turns: the middle of the marks.
+    # The point of the moving layer around which the affine map turns: the middle of the marks,
+    # and the origin of a similarity, which has none of its own.
     centre = np.zeros(2)
     if not isinstance(transform, Similarity):
         centre = np.array(transform.source)
@@ -288,9 +290,9 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
 
 
 def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
-    """Give the marks of a moving layer with the first pixels of both layers.
+    """Give the marks of a moving layer with the first pixels of both layers in their attributes.
 
-    Other programs count from these pixels.
+    Other programs count from the middles of these pixels.
     """
     assert layer.registration is not None
     marks = run.registrations[layer.name].marks
@@ -322,9 +324,10 @@ def grid_of(run: Run, name: str) -> Grid | None:
 
 
 def checked_names(requested: Sequence[str], names: Sequence[str], place_text: str) -> list[str]:
-    """Give the wanted maps, each once.
+    """Give the wanted maps, each once; none where none was asked for.
 
-    InputError names the one that is not there, the likely one, and all.
+    ``names`` are those that are there, in ``place_text``. InputError names the one that is not
+    there, the likely one, and all.
     """
     for name in requested:
         if name not in names:

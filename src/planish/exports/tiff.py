@@ -145,6 +145,7 @@ class _Stack:
     def _of_maps(cls, maps: Maps) -> _Stack:
         """Lay out maps: several as channels, one alone as a plane."""
         names = maps.names
+        # A map without a unit has the unit 1.
         labels = [f"{name} ({maps.units[name]})".removesuffix(" (1)") for name in names]
         axes = "YX"
         shape: Shape = maps.shape
@@ -152,7 +153,7 @@ class _Stack:
         if len(names) > 1:
             axes = "CYX"
             shape = (len(names), *maps.shape)
-        elif maps.data[names[0]].dtype.kind in "bu":
+        elif maps.data[names[0]].dtype.kind in "bu":  # truth values or codes
             dtype = np.dtype(np.uint8)
         return cls(
             content=maps,

@@ -117,8 +117,7 @@ def limits(
         top += 0.5
     if low is None:
         return Scale(bottom, top, colours)
-    highest = max(top, low + 1e-12)
-    return Scale(low, highest, colours)
+    return Scale(low, max(top, low + 1e-12), colours)
 
 
 def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:

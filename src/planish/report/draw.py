@@ -298,6 +298,7 @@ class Axes:
             length_px = math.hypot(u - x, v - y)
             if not length_px > 0.3:  # too short to be seen, or missing
                 continue
+            # As long as 4.5 widths, or over half of a short arrow; nearly as wide as long.
             head_share = min(4.5 * width, 0.6 * length_px) / length_px
             # The head along the arrow, in pixels to the right and down; the shaft ends within it.
             c = (u - x) * head_share
@@ -305,6 +306,7 @@ class Axes:
             shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
             wings = [f"L{_n(u - c - k * s)} {_n(v - s + k * c)}" for k in (0.45, -0.45)]
             heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
+        # The outline is drawn first, and shows 1.2 pixels beyond the arrow on either side.
         for ink, halo_px in ((halo, 2.4), (colour, 0.0)):
             if ink and shafts:
                 self._stroke(shafts, ink, width + halo_px)
@@ -463,6 +465,7 @@ class Canvas(Axes):
 
         ``log``: y are exponents of ten; ``x_ticks``: places and texts in place of round numbers.
         """
+        # A number needs 62 pixels across, and 44 down.
         x_min, x_max, y_min, y_max = axes.extent
         left_px = axes.x
         right_px = left_px + axes.width
@@ -497,7 +500,7 @@ class Canvas(Axes):
         0).
         """
         self.line((x, x + 3 * right), (y, y + 3 * down))
-        half_px = 3.1 * len(text)  # of the number's width
+        half_px = 3.1 * len(text)  # half of the number's width: a digit is about 6.2 pixels wide
         # A long number at the end of an axis stays within the figure, and is smaller where its
         # margin is too narrow.
         if down:
@@ -530,6 +533,7 @@ class Canvas(Axes):
         axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
         width, height = box
+        # A number needs 62 pixels across, and 44 down.
         x_min, x_max, *y_ends = shown.extent
         x_ticks = _ticks(x_min, x_max, max_count=width / 62)
         y_ticks: Ticks = []
@@ -627,14 +631,14 @@ def reduced(data: xr.DataArray, *, width: float) -> ShownMap:
     rows, cols = axes_of(data)
     steps = np.array([pitch(rows), pitch(cols)])
     width_um = cols.size * steps[1]
-    # 1.35 pixels of an image in one CSS pixel.
+    # 1.35 pixels of an image in one CSS pixel: enough for screens with finer pixels, too.
     pixel_um = max(width_um / (width * 1.35), 1e-12)
     factor = np.maximum(1.0, pixel_um / np.abs(steps))
     if factor.max() > 1:
         values = area_mean(summable(data, values), tuple(factor))
-    top, left = (rows[0], cols[0]) - steps / 2
+    top_um, left_um = (rows[0], cols[0]) - steps / 2
     down, across = values.shape * factor * steps
-    extent = (float(left), float(left + across), float(top + down), float(top))
+    extent = (float(left_um), float(left_um + across), float(top_um + down), float(top_um))
     return ShownMap(values, extent)
 
 
@@ -744,11 +748,12 @@ def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float
 
 
 def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> Ticks:
-    """Return the places of ticks and what is written there.
+    """Return the places of ticks, about ``max_count`` at most, and what is written there.
 
     ``log``: the places are exponents of ten, at whole ones of which the power is written.
     """
     if log:
+        # At most six numbers, of every second or third power where there are more.
         powers = multiples(low, high, 1.0)
         stride = max(1, math.ceil(len(powers) / 6))
         return [(float(k), f"{10.0**k:g}") for k in powers[::stride]]

@@ -160,7 +160,7 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
             " of r."
         )
     r_low, r_high = row.interval
-    # With a wider interval of r, a larger field is worth its while.
+    # Where half of the interval is wider, or it holds 0, a larger field is worth its while.
     if (r_high - r_low) / 2 <= 0.1 and row.direction:
         return ""
     interval = interval_text(row.interval)

@@ -82,8 +82,8 @@ def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> Picture:
 def _draw_displacement(flat: xr.Dataset) -> Picture:
     """Draw how far, and where to, flattening moved each column of the projection.
 
-    ``u``, ``v`` are places in the flat sheet, and ``projected_u``, ``projected_v`` those before, in
-    um.
+    ``u``, ``v`` are places in the flat sheet along x and y, and ``projected_u``, ``projected_v``
+    those before, in um.
     """
     across = _from_top(flat["u"] - flat["projected_u"], flat)
     down = _from_top(flat["v"] - flat["projected_v"], flat)
@@ -92,7 +92,8 @@ def _draw_displacement(flat: xr.Dataset) -> Picture:
     y, x = axes_of(displacement)
     scale = limits(displacement, GEOMETRY, percent=0.1, low=0.0)
     canvas, axes = draw_map(displacement, scale=scale, label="displacement / µm")
-    arrow_stride = max(1, round(max(displacement.shape) / 22))  # arrows across the longer side
+    # Columns from one arrow to the next: 22 arrows along the longer side.
+    arrow_stride = max(1, round(max(displacement.shape) / 22))
     # The same columns from either side: those of the mirrored view count from its other end.
     rows, cols = (np.arange(arrow_stride // 2, n, arrow_stride) for n in displacement.shape)
     if _is_mirrored(flat):

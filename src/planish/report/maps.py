@@ -103,6 +103,7 @@ class RunMaps:
         linked_maps = read_group("linked")
         for layer in self.results.layers:
             data = read_group(f"layers/{layer.name}")
+            # The shared group holds the maps of the sheet, the image and what is valid in both.
             if data is None and linked_maps is not None:
                 data = linked_maps.drop_vars("image")
                 if layer.kind == "image":
@@ -237,6 +238,7 @@ def draw_side_by_side(
 
     ``same_scale``: on one scale of colours, as for two maps of the same quantity.
     """
+    # Both have the size of the first one, on whose grid the second lies as well.
     map_px = HALF - MARGIN - BESIDE
     shown_maps = [reduced(data, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)
@@ -325,6 +327,7 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, basis: Basis
         if thin_share > 0:
             axes.outline(valid_map < thin_um, colour=EDGE, width=1.6)
             note_text = f"{note_text} In blue, what is below {plain(thin_um)}."
+    # Pixels that touch at a corner are of one region; label 0 is what is in none.
     labels, _ = ndimage.label(values < limit_um, structure=np.ones((3, 3)))
     region_pixels = np.bincount(labels.ravel())
     is_outlined = (labels > 0) & (region_pixels[labels] >= _SMALLEST)

@@ -129,7 +129,7 @@ def _slug(title: str) -> str:
     slug = re.sub(r"[^a-z0-9]+", "-", ascii_title.lower()).strip("-")
     if len(slug) <= _LONGEST:
         return slug
-    whole_words, _, _ = slug[: _LONGEST + 1].rpartition("-")
+    whole_words = slug[: _LONGEST + 1].rpartition("-")[0]
     return whole_words or slug[:_LONGEST]
 
 

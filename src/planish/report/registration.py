@@ -141,7 +141,7 @@ def _draw_arrows(
     """
     magnification = magnified(vectors, width_share * axes.shown.width)
     axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
-    if magnification.longest > 1e-9:
+    if magnification.longest > 1e-9:  # there is something to measure
         x = axes.x + 0.4 * axes.width
         y = axes.height + BELOW + 6
         um = axes.shown.width / magnification.times
@@ -210,8 +210,7 @@ def draw_registration(
         note_text += (
             f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
         )
-    numbers = range(1, marks.sizes["mark"] + 1)
-    mark_table: Entries = {"mark": [*numbers]}
+    mark_table: Entries = {"mark": [*range(1, marks.sizes["mark"] + 1)]}
     if "label" in marks:
         mark_table["label"] = [*map(str, marks["label"].values)]
     for name, column in marks.data_vars.items():
@@ -259,7 +258,8 @@ def _draw_marks(canvas: Canvas, axes: Axes, marks: xr.Dataset, *, hole_um: float
     cross_style: Entries = {"shift": (0, 0.32 * font_size), "anchor": "middle"}
     marked = zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True)
     for k, ((x, y), is_tile) in enumerate(marked, 1):
-        # The number stands above and to the left, at the circle or at the cross.
+        # The number stands above and to the left, at the circle or at the cross: moved by um on the
+        # map, and by pixels from there.
         away_um = 0.0
         shift = (-5, -4)
         halo = INK
@@ -355,14 +355,12 @@ def draw_lags(lag: LagNumbers | None, ground: Ground, *, map_texts: TwoTexts) ->
     size_text = ""
     if is_known(lag.tile_um):
         size_text = f" of {plain(lag.tile_um)}"
-    n_distinct = len(distinct_xy)
-    n_tiles = n_distinct + len(silent_xy)
     moving_text, reference_text = map_texts
     caption = (
         f"Arrows point from where the registration puts a piece of {moving_text} to where"
         f" {reference_text} shows it, {magnification.words}. Parallel arrows are a shift;"
         " arrows that turn or diverge are a rotation or a stretch; disordered arrows are"
-        f" chance. n = {count(n_distinct)} of {count(n_tiles)}"
+        f" chance. n = {count(len(distinct_xy))} of {count(len(distinct_xy) + len(silent_xy))}"
         f" overlapping tiles{size_text} with a distinct lag, grey dots the others.{doubt_text}"
         f" {ground.caption}"
     )
@@ -393,8 +391,8 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     edges_um = [values[0] - pitch(values) / 2 for values in axes_of(ground.data)]
     y0, x0 = edges_um + np.divide(lag.pixel_um, 2)  # middle of that first pixel
     places = [(tile.x + x0, tile.y + y0) for tile in lag.tiles]
-    xy = np.array(places, dtype=np.float64).reshape(-1, 2)
-    lags = np.array([tile.lag_um for tile in lag.tiles], dtype=np.float64).reshape(-1, 2)
+    xy = np.reshape(places, (-1, 2))  # also of no tile
+    lags = np.reshape([tile.lag_um for tile in lag.tiles], (-1, 2))
     is_distinct = np.array([tile.distinct for tile in lag.tiles], dtype=bool)
     is_distinct &= np.isfinite(lags).all(axis=1)
     return xy[is_distinct], lags[is_distinct], xy[~is_distinct]

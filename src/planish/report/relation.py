@@ -143,6 +143,7 @@ def draw_pair(
     axes = _draw_density(canvas, (LEFT, _TOP, WIDE, _HIGH), pixels, counted_text="pixels")
     panels = [(axes, fine)]
     right_text = "right, area means over the valid pixels of each larger point. "
+    # Of one quantity how far both differ says more than another cloud of points.
     if coarse.same_quantity:
         ends = min(axes.extent), max(axes.extent)
         axes.line(ends, ends, width=1.3, dash="6 4")

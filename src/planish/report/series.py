@@ -143,7 +143,11 @@ def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tup
 def _sort_keys(
     results: SeriesResults, factors: Sequence[str]
 ) -> Iterator[tuple[str, Sequence[Any]]]:
-    """What specimens can be sorted by: a name, and a key of each specimen."""
+    """What specimens can be sorted by: a name, and a key of each specimen.
+
+    Specimens without a level, a value or a whole run come last. There are three factors at most,
+    those that make groups first, and the statistics of the map that leads.
+    """
     specimens = results.specimens
     yield "name", [natural(s.name) for s in specimens]
     yield "state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]

@@ -336,7 +336,7 @@ def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int
 
 
 def declared(results: SeriesResults) -> list[tuple[str, str]]:
-    """What was declared, and what the program took where nothing was."""
+    """What was declared, and what the program took where nothing was: headings and texts."""
     options = results.declared
     compared_by = results.compared_by or "nothing: one group"
     maps = dict.fromkeys(q.map for q in results.quantities)

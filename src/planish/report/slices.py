@@ -126,18 +126,20 @@ def _draw_window(
     width_px = (right - left) * zoom
     height_px = (high - low) * zoom
     axes = canvas.axes(*corner_px, width_px, height_px, window)
+    # A window may end at the middle of a voxel; 1e-6 um is beyond the rounding of places.
     cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
     coordinates = [("height", cut.heights[rows]), ("x", cut.x[cols])]
     grey = xr.DataArray(cut.grey[np.ix_(rows, cols)], coordinates)
     axes.image(reduced(grey, width=width_px), scale)
-    stride = max(1, cut.x.size // 1400)
+    stride = max(1, cut.x.size // 1400)  # more points do not show on the page
     x = cut.x[::stride]
     for name, _, colour, dash in LINES:
         line = cut.lines[name][::stride]
         if name == "centre":
             axes.line(x, line, colour=colour, width=0.8 * width, dash=dash)
             continue
+        # Pale all along, and strong where the column was measured.
         axes.line(x, line, colour=colour, width=0.7 * width, opacity=0.4)
         measured = np.where(cut.used[::stride], line, np.nan)
         axes.line(x, measured, colour=colour, width=width)
@@ -151,7 +153,7 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
     """
     gap = 22.0  # pixels between two windows
     widest_um, highest_um = _largest(windows)
-    width = 0.6 * FULL
+    width = 0.6 * FULL  # of one window in pixels; several share the page
     if len(cuts) > 1:
         width = (FULL + gap) / len(cuts) - gap
     zoom = _px_per_um(windows, width - 2)
@@ -294,5 +296,4 @@ def _clear_place(cut: Slice, span: Window) -> float:
     # Shares that differ by less than a tenth count alike; the distance in spans is at most a half.
     distance = np.abs(centres_um - middle_um) / max(right - left, step)
     score = np.where(is_inside, np.round(measured_share, 1) - distance, -np.inf)
-    best = np.argmax(score)
-    return float(centres_um[best])
+    return float(centres_um[np.argmax(score)])

@@ -346,7 +346,7 @@ def _stated_relation(row: CorrelationRow, a: str, b: str, results: Results, titl
         return f"No statement on {a} and {b} is possible: {points_text} ({stated_of(results)})."
     interval = f"a 95 % interval of {r_interval_text(row)}"
     limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({stated_of(results)})."
-    if not row.direction:
+    if not row.direction:  # neither 1 nor -1: the interval holds 0
         return f"It is not certain that {b} is related to {a}: {limits_text}"
     comparative = "larger" if row.direction > 0 else "smaller"
     if is_image:
@@ -490,9 +490,9 @@ def lag_verdict(lag: LagNumbers | None, map_texts: TwoTexts) -> LagVerdict | Non
     """
     if lag is None:
         return None
-    se_um = math.hypot(*lag.se_um)
+    se_um = math.hypot(*lag.se_um)  # of the lag, from its standard errors along y and x
     state = "agrees"
-    if lag.agrees is None:
+    if lag.agrees is None:  # no lag is certain, or there is no expected error
         state = "grey"
         end_text = (
             "The result is inconclusive: it speaks neither for nor against the registration,"

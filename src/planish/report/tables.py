@@ -68,8 +68,11 @@ def comparison(results: Results) -> list[PairLine]:
         change_text = NONE
         if is_known(row.difference):
             change_text = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
-        texts: Entries = {"before": (number(rows[0].marks_rms_um),), "after": (change_text,)}
-        lines.append(PairLine(capital(name), rows, best=name.startswith("flattened"), **texts))
+        before = (number(rows[0].marks_rms_um),)
+        is_own = name.startswith("flattened")
+        lines.append(
+            PairLine(capital(name), rows, before=before, after=(change_text,), best=is_own)
+        )
     return lines
 
 
@@ -80,7 +83,7 @@ def comparison_sentence(results: Results) -> str:
     where they were not compared.
     """
     rows = [row for row in results.comparison if row.n and is_known(row.r)]
-    sizes = _sizes(rows)
+    sizes = _sizes(rows)  # from the pixel to the largest points
     if not sizes:
         return ""
     flat, projected = _flat_and_projected(rows, sizes[-1])
@@ -92,7 +95,7 @@ def comparison_sentence(results: Results) -> str:
     )
     if not is_known(projected.difference_interval):
         return f"{text}; it is not known whether they differ."
-    low, high = projected.difference_interval
+    low, high = projected.difference_interval  # of r of the run's own less that of this row
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
     text += f". The two r are {verdict}: r changes by {_change_text(projected)}."
     pixel = _flat_and_projected(rows, sizes[0])[1] if len(sizes) > 1 else None

@@ -127,9 +127,7 @@ def _sheets(gathered: Gathered, counted: Specimens) -> Iterator[str]:
     by_volumes = grouped(counted, lambda specimen: gathered.runs[specimen.name].volumes)
     without = specimens_without("sheet", counted)
     if without and len(counted) > 1:
-        kind = "specimen"
-        if len(by_volumes) < len(counted):
-            kind = "volume"
+        kind = "volume" if len(by_volumes) < len(counted) else "specimen"
         which = "The table names no sheets"
         if len(without) < len(counted):
             which = f"No sheet is named for {listed(without)}"

@@ -414,15 +414,16 @@ def _number(value: float) -> float | None:
 def _differences(
     c: CorrelationRow, agreement: AgreementFacts | None, make_row: MakeRow
 ) -> Iterator[FigureRow]:
-    """Give the bias and limits of two measurements of one quantity.
+    """Give the bias and limits of two measurements of one quantity, of points of one size.
 
-    They have intervals at the points where the run states them.
+    They have intervals at the points where the run states its ``agreement``, None where it states
+    none.
     """
     if agreement is not None:
         is_of_points = abs(agreement.point_um - c.point_um) < 1e-6
         if not is_of_points or c.trust == "withheld":
             agreement = None
-    intervals = [None, None, None]
+    intervals = [None] * 3
     if agreement is not None:
         intervals = [agreement.bias_interval, *agreement.limit_intervals]
     quantities = ("bias", "limit_low", "limit_high")

@@ -195,7 +195,7 @@ class SeriesState:
                     pixels += size
                 else:
                     voxels += size
-                    columns += size ** (2 / 3)  # of a cube
+                    columns += size ** (2 / 3)  # as many as a cube of so many voxels has
                     volume_bytes = max(volume_bytes, bytes_to_hold(header["bytes"]))
         except PlanishError as error:
             return Estimate(words=f"refused: {error.text}")

@@ -89,6 +89,7 @@ def _leading_maps(
             raise InputError(
                 f"No run has a map {name}; there are {names}.{likely(name, maps)} Name one of them."
             )
+    # Of how many runs a map is the headline: the most frequent one leads.
     counts = Counter(name for run in runs.values() for name in run.headlines)
     leading_maps = declared.headline or sorted(counts, key=counts.__getitem__, reverse=True)
     return list(dict.fromkeys([*leading_maps, *declared_maps]))

@@ -115,7 +115,7 @@ def _near_common_axes(rows: FigureRows) -> list[FigureRow]:
     An axis is the same at 180 degrees more: 89 and -89 are close, though their mean is far from
     both. Such angles may pass 90 degrees. Other rows stay as they are.
     """
-    axes: dict[str, list[float]] = {}
+    axes: dict[str, list[float]] = {}  # mean axes of all specimens in degrees, by map
     for row in rows:
         if row.quantity == "mean" and row.value is not None and has_axes(row.map, row.period_deg):
             axes.setdefault(row.map, []).append(row.value)
@@ -123,6 +123,8 @@ def _near_common_axes(rows: FigureRows) -> list[FigureRow]:
     for row in rows:
         value = row.value
         if row.map in axes and row.quantity == "mean" and value is not None:
+            # Unit vectors at twice the angles have a mean without the jump at 90 degrees: half its
+            # angle is the common axis, and the value moves by 180 degrees to within 90 of that.
             axis_deg = angle_of(np.mean(doubled(np.array(axes[row.map]))))
             value = float(near_axis(value, axis_deg))
         near_rows.append(replace(row, value=value))

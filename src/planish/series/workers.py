@@ -189,6 +189,7 @@ class _Processes:
 
     def start(self, job: Job) -> Future[Note]:
         """Begin a job in a process that is free, or in a new one."""
+        # A process is free again when its job is done.
         self._free += [self._used.pop(future) for future in [*self._used] if future.done()]
         # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
         spawn_context = multiprocessing.get_context("spawn")

@@ -27,6 +27,7 @@ def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
             f" {limit_text}."
         )
         return
+    # The lag is (y, x); a tenth of a um is said of short ones alone.
     lag_y_text, lag_x_text = (fixed(v, 0 if abs(v) >= 10 else 1) for v in profiles.lag_um)
     width_text = ""
     if is_known(profiles.widths_um):

@@ -247,7 +247,7 @@ def _say_sharing(model: Explained) -> Iterator[str]:
             )
     moves: list[str] = []
     for c in model.coefficients.values():
-        if not is_known(c.by_errors):
+        if not is_known(c.by_errors):  # by how much the errors move the plain coefficient
             continue
         move = f"{in_words(c.title)} by {number(c.by_errors, 2)}"
         if not model.corrected:

@@ -30,5 +30,4 @@ def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
 def _limits_text(limits: Pair) -> str:
     if not is_known(limits):
         return ""
-    low, high = map(number, limits)
-    return f"95 %: {low} to {high}"
+    return f"95 %: {number(limits[0])} to {number(limits[1])}"

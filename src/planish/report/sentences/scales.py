@@ -163,7 +163,7 @@ def say_surer(octaves: Scales) -> list[str]:
         )
     names = [name for name in leading(octaves) if octaves.bands[name]]
     if any(_wants_larger_field(octaves.bands[name]) for name in names):
-        longest_um = octaves.bands[names[0]][0].high_um
+        longest_um = octaves.bands[names[0]][0].high_um  # octaves stand from the longest waves on
         sentences.append(
             "A larger field: four times the area halves the interval of each octave, and adds the"
             f" octave above {plain(longest_um)}. Waves count where five of them fit along the"
