@@ -121,6 +121,9 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     sd = spread_of(changes)
     if sd <= 1e-12 * np.abs([means_before, means_after]).max():
         sd = 0.0
+    reason = too_few(k)
+    if not (reason or sd > 0):
+        reason = "all sheets have the same difference"
     difference = SheetDifference(
         kind="paired",
         sheets=(k, k),
@@ -129,7 +132,7 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
         sd=sd,
         standard_error=sd / math.sqrt(k),
         unpaired=unpaired,
-        reason=too_few(k) or ("" if sd > 0 else "all sheets have the same difference"),
+        reason=reason,
     )
     if difference.reason:
         return difference
@@ -137,20 +140,24 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
 
 
 def _means_of_pairs(before: Fields, after: Fields) -> dict[str, Pair]:
-    """Means of sheets that are in both; over the fields of both alone where all have names."""
+    """Means of sheets that are in both, before and after, by the name of the sheet.
+
+    They are over the fields that both have where all fields have names, else over all fields.
+    """
     if before.names and after.names:
         new_keys = zip(after.sheets, after.names, strict=True)
         new_values = dict(zip(new_keys, after.values, strict=True))
         old_keys = zip(before.sheets, before.names, strict=True)
         new = np.array([new_values.get(key, math.nan) for key in old_keys])
-        before = Fields(np.where(np.isnan(new), math.nan, before.values), before.sheets)
-        after = Fields(np.where(np.isnan(before.values), math.nan, new), before.sheets)
+        is_missing = np.isnan(new) | np.isnan(before.values)
+        before = Fields(np.where(is_missing, math.nan, before.values), before.sheets)
+        after = Fields(np.where(is_missing, math.nan, new), before.sheets)
     new_sheets = after.by_sheet
-    return {
-        sheet: (values.mean(), new_sheets[sheet].mean())
-        for sheet, values in before.by_sheet.items()
-        if sheet in new_sheets
-    }
+    means: dict[str, Pair] = {}
+    for sheet, values in before.by_sheet.items():
+        if sheet in new_sheets:
+            means[sheet] = (values.mean(), new_sheets[sheet].mean())
+    return means
 
 
 def two_groups(first: Fields, second: Fields) -> SheetDifference:
@@ -198,7 +205,8 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
         return difference
     # Degrees of freedom of a sum of variances of means, each over so many values (Welch 1947).
     parts = [v * v / (n - 1) for v, n in zip(mean_variances, k, strict=True)]
-    return _with_interval(difference, sum(mean_variances) ** 2 / sum(parts))
+    free = sum(mean_variances) ** 2 / sum(parts)
+    return _with_interval(difference, free)
 
 
 def _with_interval(change: SheetDifference, free: float) -> SheetDifference:
@@ -277,9 +285,11 @@ def _shift_seen(free: float) -> float:
     high = 4.0  # not at once a large one: far out, the distribution's numbers are not defined
     while _power_of_shift(high, free) < _POWER:
         high *= 2
-    return float(
-        optimize.brentq(lambda shift: _power_of_shift(shift, free) - _POWER, 0.0, high, xtol=1e-10)
-    )
+
+    def excess(shift: float) -> float:
+        return _power_of_shift(shift, free) - _POWER
+
+    return float(optimize.brentq(excess, 0.0, high, xtol=1e-10))
 
 
 def _power_of_shift(shift: float, free: float) -> float:

@@ -49,7 +49,9 @@ class CellColumn:
 
     def of(self, values: NDArray[Any]) -> NDArray[Any]:
         """Numbers of some pixels of the map."""
-        return values if self.label is None else (values == self.label).astype(np.float64)
+        if self.label is None:
+            return values
+        return (values == self.label).astype(np.float64)
 
 
 def columns_of(name: str, values: xr.DataArray) -> list[CellColumn]:
@@ -68,9 +70,11 @@ def columns_of(name: str, values: xr.DataArray) -> list[CellColumn]:
             f"{name} has {levels.size} different whole numbers. A factor has 2 to {MOST_LEVELS}"
             ' levels; write astype("float32") for a quantity.'
         )
-    return [
-        CellColumn(name=f"{name}={level}", values=values, label=int(level)) for level in levels[1:]
-    ]
+    columns: list[CellColumn] = []
+    for level in levels[1:]:
+        column = CellColumn(name=f"{name}={level}", values=values, label=int(level))
+        columns.append(column)
+    return columns
 
 
 def means_over_cells(
@@ -85,11 +89,13 @@ def means_over_cells(
     Pixels count that have a value in all maps and where all masks are true.
     """
     maps = [column.values for column in columns]
-    shape = (maps[0].shape[0], maps[0].shape[1])
+    n_maps = len(maps)
+    rows_of_map, cols_of_map = maps[0].shape
+    shape = (rows_of_map, cols_of_map)
     means_by_size = [AreaMeans(shape, square_px(size_um, pixel_um)) for size_um in sizes_um]
     for rows, bands in read_bands(*maps, *masks):
-        map_bands = bands[: len(maps)]
-        is_valid = valid_in_all(map_bands, bands[len(maps) :])
+        map_bands = bands[:n_maps]
+        is_valid = valid_in_all(map_bands, bands[n_maps:])
         numbers = [column.of(band) for column, band in zip(columns, map_bands, strict=True)]
         for means in means_by_size:
             means.add(rows.start, is_valid, *numbers)

@@ -27,7 +27,9 @@ def sign_of(interval: Pair) -> int:
 
 def is_distinguishable(interval: Pair) -> bool | None:
     """Whether an interval excludes 0; None where there is none."""
-    return None if math.isnan(interval[0]) else sign_of(interval) != 0
+    if math.isnan(interval[0]):
+        return None
+    return sign_of(interval) != 0
 
 
 def fisher_z(r: ArrayLike) -> Floats:
@@ -77,8 +79,10 @@ def largest_tail(maxima: Floats, value: float) -> float:
     excesses = maxima - maxima.min()
 
     def excess(scale: float) -> float:
+        """Scale less the one that this one implies: 0 at maximum likelihood."""
         weight = np.exp(-excesses / scale)
-        return scale - float(excesses.mean() - (excesses * weight).sum() / weight.sum())
+        weighted_mean = (excesses * weight).sum() / weight.sum()
+        return scale - float(excesses.mean() - weighted_mean)
 
     spread = float(excesses.std())
     if spread == 0:

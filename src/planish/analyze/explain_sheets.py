@@ -43,7 +43,11 @@ class ExplainedSeries(ModelFacts):
 def explained_over_sheets(
     models: Mapping[str, Explained], sheets: Mapping[str, str], left_out: Mapping[str, str]
 ) -> ExplainedSeries:
-    """Pool models of specimens over sheets, each of which counts once."""
+    """Pool models of specimens over sheets, each of which counts once.
+
+    ``models`` by the names of the specimens, at least one; ``sheets`` the name of each specimen's
+    sheet, empty where it is of a sheet of its own; ``left_out`` why other specimens have no model.
+    """
     of_models = list(models.values())
     first = of_models[0]
     sheet_of_model = [sheets[name] or name for name in models]
@@ -52,11 +56,12 @@ def explained_over_sheets(
     declared = {model.declared for model in of_models}
     n = sum(model.n for model in of_models)
     n_eff = sum(model.n_eff for model in of_models)
-    model_fields = ("response", "title", "units", "of", "cell_um", "corrected")
+    names = ("response", "title", "units", "of", "cell_um", "corrected")
+    declaration = {name: getattr(first, name) for name in names}
     r2 = over_sheets(_fields("r2", of_models, sheet_of_model))
     r2_out = over_sheets(_fields("r2_out", of_models, sheet_of_model))
     return ExplainedSeries(
-        **{name: getattr(first, name) for name in model_fields},
+        **declaration,
         declared=first.declared if len(declared) == 1 else False,
         sheets=len(set(sheet_of_model)),
         fields=len(models),
@@ -100,12 +105,12 @@ def _lead_over_sheets(
     """How far the largest pooled coefficient leads the next one; nothing where there is one."""
     if len(coefficients) < 2:
         return SheetMean(sheets=0, fields=0)
-    first, second = strongest(coefficients)[:2]
     sizes: list[Floats] = []
-    for name in (first, second):
+    for name in strongest(coefficients)[:2]:
         sign = math.copysign(1.0, coefficients[name].standardised)
-        sizes.append(sign * np.array([m.coefficients[name].standardised for m in models]))
-    return over_sheets(Fields((sizes[0] - sizes[1]).tolist(), sheets))
+        of_models = [m.coefficients[name].standardised for m in models]
+        sizes.append(sign * np.array(of_models))
+    return over_sheets(Fields(sizes[0] - sizes[1], sheets))
 
 
 def _pooled_coefficient(

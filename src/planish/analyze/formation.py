@@ -17,7 +17,7 @@ from planish.analyze.distributions import variance_interval
 from planish.core.area import area_mean, square_px
 from planish.core.errors import CannotMeasure
 from planish.core.facts import NULL, DescribedModel, Interval, Value
-from planish.core.typing import Array, Floats, Pair, Shape2D, pair_of
+from planish.core.typing import Array, Floats, Ints, Pair, Shape2D, pair_of
 
 _DIRECTIONS = 2048  # of a fibre: its peak over directions is as narrow as a wave over its length
 _PARTS = 8  # of a cell, for the covariance of the means over cells
@@ -43,8 +43,10 @@ class RandomSheet(DescribedModel):
 
     def density(self, per_um: Floats) -> Floats:
         """Spectral density of grammage over its mean, um2, at frequencies (waves a um)."""
-        length_um, width_um = 1000.0 * self.length_mm, self.width_um
-        angles = (np.arange(_DIRECTIONS) + 0.5) * (0.5 * math.pi / _DIRECTIONS)
+        length_um = 1000.0 * self.length_mm
+        width_um = self.width_um
+        step = 0.5 * math.pi / _DIRECTIONS
+        angles = (np.arange(_DIRECTIONS) + 0.5) * step
         shares = np.empty(per_um.shape)
         for k, frequency in enumerate(per_um):
             along = np.sinc(length_um * frequency * np.cos(angles))
@@ -61,7 +63,10 @@ class RandomSheet(DescribedModel):
     def cell_covariances(self, shape: Shape2D, cell_um: float) -> Floats:
         """Covariance of means over square cells, over the squared mean, by wrapped lag in cells.
 
-        ``shape``: lags along y and x, twice those of the field.
+        ``shape``: lags along y and x, twice those of the field. It is the inverse Fourier transform
+        of the spectral density over a plane of parts of a cell, which is two fibres long at least,
+        so that no fibre meets itself around the border. The density depends on the frequency alone
+        and is read off a table of 800 frequencies and 0.
         """
         least = 2 * math.ceil(1000.0 * self.length_mm / cell_um)
         size = [_PARTS * fft.next_fast_len(max(count, least)) for count in shape]
@@ -73,8 +78,13 @@ class RandomSheet(DescribedModel):
         table = np.concatenate([[0.0], above_0])
         density = np.interp(radius, table, self.density(table))
         of_cell = np.outer(np.sinc(along_y * cell_um), np.sinc(along_x * cell_um))
-        covariance = fft.irfft2(density * np.square(of_cell), size) / step_um**2
-        lags = [fft.ifftshift(np.arange(-(n // 2), n - n // 2)) * _PARTS for n in shape]
+        density *= np.square(of_cell)
+        covariance = fft.irfft2(density, size) / step_um**2
+        lags: list[Ints] = []
+        for n in shape:
+            half = n // 2
+            lags_of_axis = fft.ifftshift(np.arange(-half, n - half))
+            lags.append(lags_of_axis * _PARTS)
         return covariance[np.ix_(*lags)]
 
 
@@ -157,9 +167,10 @@ def formation_number(
     cov = math.sqrt(max(variance, 0.0)) / mean
     random_cov = math.sqrt(expected)
     number = cov / random_cov
+    limits = np.sqrt(variance_interval(number**2, degrees))
     return Formation(
         number=number,
-        interval=pair_of(np.sqrt(variance_interval(number**2, degrees))),
+        interval=pair_of(limits),
         cell_um=cell_um,
         n=n,
         cov=cov,
@@ -169,15 +180,20 @@ def formation_number(
 
 
 def _variance_of_cells(is_known: Any, sheet: RandomSheet, cell_um: float) -> Pair:
-    """Expected variance of the known cells about their mean, and its degrees of freedom."""
+    """Expected variance of the known cells about their mean, and its degrees of freedom.
+
+    Of a random sheet, over its squared mean; ``is_known`` (rows, cols) are cells of the field. The
+    degrees of freedom are Satterthwaite's: twice the squared expectation over the variance, both of
+    a sum of squares of Gaussian values, which follow from the covariances of all pairs of cells.
+    """
     rows, cols = is_known.shape
     shape = (2 * rows, 2 * cols)
     covariance = sheet.cell_covariances(shape, cell_um)
     mask = fft.rfft2(is_known.astype(np.float64), shape)
     pairs = fft.irfft2(np.abs(mask) ** 2, shape)
-    covariance_sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)[:rows, :cols]
+    padded_sums = fft.irfft2(fft.rfft2(covariance) * mask, shape)
     n = int(np.count_nonzero(is_known))
-    of_cells = covariance_sums[is_known]
+    of_cells = padded_sums[:rows, :cols][is_known]  # sum of the covariances of each with all
     total = of_cells.sum()
     centred = n * covariance[0, 0] - total / n
     trace = np.sum(pairs * covariance**2)

@@ -39,7 +39,9 @@ def leading_map(maps: xr.Dataset, side: Side = "top", declared: str | None = Non
         refuse_axial(maps[declared])
         return declared
     coating = f"coating_{side}"
-    return coating if coating in maps and any_finite(maps[coating]) else "thickness"
+    if coating in maps and any_finite(maps[coating]):
+        return coating
+    return "thickness"
 
 
 def leading_pair(

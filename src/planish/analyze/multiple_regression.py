@@ -10,7 +10,7 @@ from scipy import special
 from planish.analyze.correlation import placed
 from planish.analyze.distributions import around, t_95
 from planish.core.errors import CannotMeasure
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats, Ints, Pair
 from planish.texture.covariance import Lags, PairCovariances
 
 _MOST_BLOCKS = 10  # along an axis
@@ -68,12 +68,14 @@ class Regression:
     def difference_of_sizes(self, first: int, second: int) -> tuple[float, Pair]:
         """Size of a standardised coefficient less that of another one, and its 95 % interval."""
         factors = np.sign(self.plain) * self.scale
-        weight = factors[first] * self.weights[first] - factors[second] * self.weights[second]
-        error, n_eff = _error_of_mean(weight, self)
+        weights = factors[:, None, None] * self.weights
+        error, n_eff = _error_of_mean(weights[first] - weights[second], self)
         sizes = np.abs(self.standardised)
         difference = sizes[first] - sizes[second]
         free = n_eff - self.plain.size - 1
-        half_width = t_95(free) * error if free > 1 else math.nan
+        half_width = math.nan
+        if free > 1:
+            half_width = t_95(free) * error
         return difference, around(difference, half_width)
 
 
@@ -123,7 +125,8 @@ def regress(
     >>> fit.plain.round(1).tolist(), round(fit.r2, 2)
     ([2.0, -1.0], 1.0)
     """
-    is_valid, n = lags.is_valid, lags.n
+    is_valid = lags.is_valid
+    n = lags.n
     values = np.stack([m[is_valid] for m in predictors], axis=1)
     means = values.mean(axis=0)
     spread = values.std(axis=0)
@@ -150,6 +153,7 @@ def regress(
     plain = scaled / spread
     unknown = np.full(plain.size, math.nan)
     weights = (x @ inverse).T / spread[:, None]
+    weight_maps = [placed(row, is_valid, 0.0) for row in weights]
     fit = Regression(
         plain=plain,
         intercept=y_mean - (means @ plain),
@@ -159,13 +163,14 @@ def regress(
         vif=variances / own_share,
         unique=scaled**2 * own_share / variance,
         r2=float((scaled @ with_response) / variance),
-        weights=np.stack([placed(row, is_valid, 0.0) for row in weights]),
+        weights=np.stack(weight_maps),
         own_variance=own_share * spread**2,
         residuals=placed(y - x @ scaled, is_valid, 0.0),
         lags=lags,
     )
-    errors_and_n_eff = np.array([_error_of_mean(weight, fit) for weight in fit.weights])
-    return replace(fit, standard_errors=errors_and_n_eff[:, 0], n_eff=errors_and_n_eff[:, 1])
+    of_coefficients = [_error_of_mean(weight, fit) for weight in fit.weights]
+    standard_errors, n_eff = np.transpose(of_coefficients)
+    return replace(fit, standard_errors=standard_errors, n_eff=n_eff)
 
 
 def _error_of_mean(weight: Floats, fit: Regression) -> Pair:
@@ -185,7 +190,8 @@ def _independent_cells(weight: Floats, residuals: Floats, lags: Lags) -> float:
     variance = pair.variance_of_r()
     if not variance > 0:
         return math.nan
-    variance = max(variance, pair.unevenness(0.0) ** 2 * pair.variance_of_z(0.0))
+    of_cells = pair.unevenness(0.0) ** 2 * pair.variance_of_z(0.0)
+    variance = max(variance, of_cells)
     return min(1 + 1 / variance, float(lags.n))
 
 
@@ -198,13 +204,13 @@ def out_of_sample_r2(
     NaN where the field holds less than 2 x 2 blocks of that width.
     """
     is_valid = lags.is_valid
-    block_numbers = np.zeros(is_valid.shape, dtype=np.intp)
-    for axis, (count, size_um) in enumerate(zip(is_valid.shape, lags.pixel_um, strict=True)):
+    numbers: list[Ints] = []  # of the block of every row, and of every column
+    for count, size_um in zip(is_valid.shape, lags.pixel_um, strict=True):
         blocks = min(int(count * size_um / block_um), _MOST_BLOCKS)
         if blocks < 2:
             return math.nan
-        numbers = np.arange(count) * blocks // count
-        block_numbers = block_numbers * blocks + np.expand_dims(numbers, 1 - axis)
+        numbers.append(np.arange(count) * blocks // count)
+    block_numbers = np.add.outer(numbers[0] * _MOST_BLOCKS, numbers[1])
     block_of_cell = block_numbers[is_valid]
     columns = [m[is_valid] for m in predictors]
     x = np.stack([np.ones(lags.n), *columns], axis=1)
@@ -214,6 +220,8 @@ def out_of_sample_r2(
         is_inside = block_of_cell == block
         fitted_y = y[~is_inside]
         coefficients = np.linalg.lstsq(x[~is_inside], fitted_y, rcond=None)[0]
-        unexplained += np.sum((y[is_inside] - x[is_inside] @ coefficients) ** 2)
-        variation += np.sum((y[is_inside] - fitted_y.mean()) ** 2)
+        y_of_block = y[is_inside]
+        residuals = y_of_block - x[is_inside] @ coefficients
+        unexplained += np.sum(residuals**2)
+        variation += np.sum((y_of_block - fitted_y.mean()) ** 2)
     return 1 - unexplained / variation

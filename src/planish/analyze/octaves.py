@@ -90,7 +90,9 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     shortest_side = shorter_side_um(is_valid.shape, pixel)
     limit_um = 0.25 * shortest_side  # of longer waves a field holds too few
-    count = min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9))))
+    ratio = limit_um / (2 * max(pixel))  # of the longest to the shortest wave
+    n_octaves = int(math.log2(max(ratio, 1e-9)))
+    count = min(bands, n_octaves)
     if count < 1 or not is_valid.any():
         raise CannotMeasure(
             f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to"
@@ -99,28 +101,33 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
     waves = Waves(is_valid, pixel, a, b)
     half = half_plane(is_valid.shape) & waves.stand_out
     raw = np.stack(waves.spectra)
-    whitened = raw / np.sqrt(np.maximum(waves.powers, 1e-300))[:, waves.ring]
+    spread_of_rings = np.sqrt(np.maximum(waves.powers, 1e-300))
+    whitened = raw / spread_of_rings[:, waves.ring]
     octaves: list[Band] = []
     for k in range(count):
         longest_um = limit_um / 2**k
         shortest_um = longest_um / 2
-        in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
+        in_octave = half & (waves.frequency > 1 / longest_um)
+        in_octave &= waves.frequency <= 1 / shortest_um
         modes = np.count_nonzero(in_octave) / waves.joined
         common = _in_common(raw[:, in_octave], whitened[:, in_octave], modes, count)
-        octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **common))
+        band = Band(shortest_um=shortest_um, longest_um=longest_um, **common)
+        octaves.append(band)
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
 
 
 def _in_common(raw: Complexes, whitened: Complexes, modes: float, count: int) -> dict[str, float]:
-    """What waves of both maps (2, waves) have in common in one of so many bands.
+    """What waves of both maps (2, waves) have in common in one of so many bands, as its fields.
 
-    The waves are taken as they are and whitened.
+    The gain is of the waves as they are, the rest of the same waves whitened. ``modes`` of them are
+    independent. NaN where a map has no power, or where fewer than 4 are.
     """
     cross = np.vdot(whitened[0], whitened[1])
     gain = np.vdot(raw[0], raw[1])
     power_a = np.vdot(raw[0], raw[0]).real
     squared_spread = math.prod(np.vdot(m, m).real for m in whitened)
-    common = {"modes": modes} | dict.fromkeys(("coherence", "p", "phase_deg", "gain"), math.nan)
+    common: dict[str, float] = dict.fromkeys(("coherence", "p", "phase_deg", "gain"), math.nan)
+    common["modes"] = modes
     if power_a > 0:
         common["gain"] = math.copysign(abs(gain), gain.real) / power_a
     if squared_spread > 0:
@@ -145,9 +152,11 @@ class Waves:
         window = window_of(is_valid)
         self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
         self.frequency = frequencies_of(is_valid.shape, pixel_um)
-        # Width of the window in frequency: one over the field it leaves.
-        self.joined = is_valid.size * (np.sum(window**4) / np.sum(window**2) ** 2)
-        self.resolution = math.sqrt(self.joined) / shorter_side_um(is_valid.shape, pixel_um)
+        # How many neighbouring modes the window joins to one: the field over what it leaves of it.
+        share_of_modes = np.sum(window**4) / np.sum(window**2) ** 2
+        self.joined = is_valid.size * share_of_modes
+        side_um = shorter_side_um(is_valid.shape, pixel_um)
+        self.resolution = math.sqrt(self.joined) / side_um
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()
         squares = [np.abs(spectrum.ravel()) ** 2 for spectrum in self.spectra]

@@ -85,7 +85,8 @@ def _each_name(value: object) -> object:
     texts = (value,) if isinstance(value, str) else value
     if not isinstance(texts, tuple | list):
         return value
-    return tuple(name.strip() for text in texts for name in str(text).split(",") if name.strip())
+    names = ",".join(map(str, texts)).split(",")
+    return tuple(name.strip() for name in names if name.strip())
 
 
 MapNames = Annotated[tuple[str, ...], BeforeValidator(_each_name)]

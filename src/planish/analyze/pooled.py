@@ -51,9 +51,9 @@ def random_effects(
     """
     y = values_of(effects, "effects").astype(np.float64)
     v = values_of(variances, "variances").astype(np.float64)
-    are_pairs = y.ndim == 1 and y.shape == v.shape and y.size >= 2
+    are_pairs = y.ndim == 1 and y.shape == v.shape
     are_numbers = np.isfinite(y).all() and (v > 0).all()
-    if not (are_pairs and are_numbers):
+    if y.size < 2 or not (are_pairs and are_numbers):
         raise InputError(
             f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a"
             " number with a variance above 0."
@@ -62,6 +62,9 @@ def random_effects(
         raise InputError("The variance of an effect is infinite. Leave that effect out.")
     k = y.size
     q = _excess(0.0, y, v)[0]
+    i2 = 0.0
+    if q > 0:
+        i2 = max(1 - (k - 1) / q, 0.0)
     between = _between(y, v)
     weight = 1 / (v + between)
     total = weight.sum()
@@ -79,7 +82,7 @@ def random_effects(
         q=q,
         p=float(special.chdtrc(k - 1, q)),
         interval=around(mean, width),
-        i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
+        i2=i2,
     )
 
 
@@ -97,7 +100,8 @@ def effects_of_sheets(effects: Fields, variances: Fields) -> RandomEffects | Non
 def _excess(between: float, y: Floats, v: Floats) -> Pair:
     """Weighted sum of squares about the weighted mean, and its fall with the variance between."""
     weight = 1 / (v + between)
-    square = (y - np.sum(weight * y) / weight.sum()) ** 2
+    mean = np.sum(weight * y) / weight.sum()
+    square = (y - mean) ** 2
     return np.sum(weight * square), np.sum(weight * weight * square)
 
 
@@ -109,7 +113,9 @@ def _between(y: Floats, v: Floats) -> float:
     between = 0.0
     for _ in range(200):
         total, slope = _excess(between, y, v)
-        step = (total - (y.size - 1)) / slope if slope > 0 else 0.0
+        if not slope > 0:
+            break
+        step = (total - (y.size - 1)) / slope
         if step <= 1e-15 * between:
             break
         between += step
@@ -151,6 +157,9 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     z, variance = _fisher_z(r, n_eff)
     mean = over_sheets(z)
     each_alone = [str(k) for k in range(len(z.values))]
+    between_fields = effects_of_sheets(
+        replace(z, sheets=each_alone), replace(variance, sheets=each_alone)
+    )
     return SheetMean(
         sheets=mean.sheets,
         fields=mean.fields,
@@ -158,9 +167,7 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
         reason=mean.reason,
         interval=pair_of(np.tanh(mean.interval)),
         between_sheets=effects_of_sheets(z, variance),
-        between_fields=effects_of_sheets(
-            replace(z, sheets=each_alone), replace(variance, sheets=each_alone)
-        ),
+        between_fields=between_fields,
     )
 
 
@@ -215,7 +222,10 @@ def difference_of_pooled_r(
 
 
 def _fisher_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, Fields]:
-    """Fisher's z of fields and its variances, both NaN where a field does not count."""
+    """Fisher's z of fields and its variances, both NaN where a field does not count.
+
+    Without ``n_eff`` every field counts whose r is a number below 1, with a variance of 0.
+    """
     if n_eff is not None and len(n_eff) != len(r.values):
         raise InputError(
             f"There are {len(r.values)} correlations and {len(n_eff)} n_eff. Give one for each."

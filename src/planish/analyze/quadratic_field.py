@@ -17,9 +17,14 @@ class QuadraticField:
 
     def on(self, grid: Grid) -> Floats:
         """Its values (rows, cols) on some pixels."""
-        axes = (grid.y_um, self.points.y_um), (grid.x_um, self.points.x_um)
-        y, x = (2 * (um - of_points[0]) / np.ptp(of_points) - 1 for um, of_points in axes)
+        y = _scaled(grid.y_um, self.points.y_um)
+        x = _scaled(grid.x_um, self.points.x_um)
         return _terms_of(y, x) @ self.weights
+
+
+def _scaled(places_um: Floats, points_um: Floats) -> Floats:
+    """Places along an axis, so that the first point is at -1 and the last one at 1."""
+    return 2 * (places_um - points_um[0]) / np.ptp(points_um) - 1
 
 
 def points_of(grid: Grid, shape: Shape, point_um: float) -> Grid:
@@ -31,7 +36,8 @@ def points_of(grid: Grid, shape: Shape, point_um: float) -> Grid:
 
 def terms_of_points(is_valid: Bools) -> Floats:
     """1, x, y, x², xy and y² at the points that are valid: (points, 6)."""
-    return _terms_of(*(np.linspace(-1.0, 1.0, n) for n in is_valid.shape))[is_valid]
+    y, x = (np.linspace(-1.0, 1.0, n) for n in is_valid.shape)
+    return _terms_of(y, x)[is_valid]
 
 
 def _terms_of(y: Floats, x: Floats) -> Floats:

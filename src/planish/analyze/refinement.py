@@ -122,7 +122,8 @@ def cross_fitted(
     """
     is_valid = valid_pixels(a, b, pixel_um, valid)[0]
     plane = Plane(is_valid)
-    length = max(correlation_length_um(plane.taken_off(m), is_valid, pixel_um) for m in (a, b))
+    flat_maps = [plane.taken_off(m) for m in (a, b)]
+    length = max(correlation_length_um(m, is_valid, pixel_um) for m in flat_maps)
     guard = 2 * length
     if not math.isfinite(guard):
         raise CannotMeasure(
@@ -131,16 +132,17 @@ def cross_fitted(
             " length, or take the slow variations off the maps first."
         )
     side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard)
-    a_centred, refined_centred, marks_centred = (np.full(a.shape, np.nan) for _ in range(3))
+    centred = np.full((3, *a.shape), np.nan)
     for is_tuned, is_reported in zip(tuned_masks, report_masks, strict=True):
-        placed = tune(np.where(is_tuned, a, np.nan), is_tuned)
-        is_used = is_reported & np.isfinite(placed)
-        for values, out in ((a, a_centred), (placed, refined_centred), (b, marks_centred)):
-            out[is_used] = values[is_used] - values[is_used].mean()
-    row = correlate(a_centred, refined_centred, pixel_um=pixel_um)
-    gain = paired_difference(
-        (a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um
-    )
+        tuned_b = tune(np.where(is_tuned, a, np.nan), is_tuned)
+        is_used = is_reported & np.isfinite(tuned_b)
+        for out, values in zip(centred, (a, tuned_b, b), strict=True):
+            used_values = values[is_used]
+            out[is_used] = used_values - used_values.mean()
+    a_centred, refined_centred, marks_centred = centred
+    refined_pair = (a_centred, refined_centred)
+    row = correlate(*refined_pair, pixel_um=pixel_um)
+    gain = paired_difference((a_centred, marks_centred), refined_pair, pixel_um=pixel_um)
     limits = change = ""
     if is_known(row.interval):
         low, high = row.interval
@@ -171,20 +173,29 @@ def cross_fitted(
 def _checkerboard(
     is_valid: Bools, pixel_um: Pair, guard_um: float
 ) -> tuple[float, list[Bools], list[Bools]]:
-    """Side of the tiles, the pixels of either colour, and those of each that are reported on."""
-    shape, sides_um = is_valid.shape, (6 * guard_um, 4 * guard_um)
+    """Side of the tiles, the pixels of either colour, and those that each leaves to report on.
+
+    What is tuned on one colour is reported on the other, farther than the guard from the first one.
+    CannotMeasure where fewer than 4 tiles of a colour, or 100 pixels, would be left.
+    """
+    shape = is_valid.shape
+    sides_um = (6 * guard_um, 4 * guard_um)
     for side in sides_um:
         # Of every row and column; a rest at the border goes half to either side.
         tile_numbers: list[Ints] = []
         for n, pitch in zip(shape, pixel_um, strict=True):
             length_um = n * pitch
-            edge_um = 0.5 * (length_um - max(int(length_um / side), 1) * side)
+            n_whole = max(int(length_um / side), 1)
+            edge_um = 0.5 * (length_um - n_whole * side)
             middles_um = (np.arange(n) + 0.5) * pitch
-            tile_numbers.append(np.floor((middles_um - edge_um) / side).astype(np.intp))
-        tile_row, tile_col = tile_numbers[0][:, None], tile_numbers[1]
-        tuned = [is_valid & ((tile_row + tile_col) % 2 == k) for k in (0, 1)]
+            numbers = np.floor((middles_um - edge_um) / side)
+            tile_numbers.append(numbers.astype(np.intp))
+        tile_row = tile_numbers[0][:, None]
+        tile_col = tile_numbers[1]
+        colour = (tile_row + tile_col) % 2
+        tuned = [is_valid & (colour == k) for k in (0, 1)]
         away_um = [ndimage.distance_transform_edt(~m, sampling=pixel_um) for m in tuned]
-        reported = [tuned[1] & (away_um[0] > guard_um), tuned[0] & (away_um[1] > guard_um)]
+        reported = [tuned[1 - k] & (away_um[k] > guard_um) for k in (0, 1)]
         tile_ids = tile_row * shape[1] + tile_col
         tile_counts = [np.unique(tile_ids[m]).size for m in reported]
         if min(tile_counts) >= 4 and min(map(np.sum, reported)) >= 100:
@@ -213,20 +224,23 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None) -> Refin
         their number squared.
     """
     check_numbers(a, "a")
+    is_valid = np.isfinite(a)
     if valid is not None:
         check_numbers(valid, "valid", kinds="b")
-    is_valid = np.isfinite(a) & (True if valid is None else valid)
+        is_valid &= valid
     flat = Plane(is_valid).taken_off(a)
     rng = np.random.default_rng(20090502)
 
     def searched(candidate: Floats) -> float:
+        """Give r of a map, or of one like it, with map b placed so that it fits that one best."""
         a_known = np.where(is_valid, candidate, np.nan)
         return pearson(a_known, tune(a_known, is_valid))
 
     r = searched(flat)
     surrogates = PhaseSurrogate(flat, is_valid).draws(_SURROGATES, rng)
     null = [abs(searched(surrogate)) for surrogate in surrogates]
-    z, *null_z = np.arctanh(np.minimum([abs(r), *null], 1 - 1e-12))
+    sizes = np.minimum([abs(r), *null], 1 - 1e-12)
+    z, *null_z = np.arctanh(sizes)
     tail_share = largest_tail(np.array(null_z), z)
     # A tail is not known further than half of one over their number squared.
     p = max(tail_share, 0.5 / _SURROGATES**2)
@@ -321,7 +335,8 @@ def refine_link(
     options = RefineOptions(model=model)
     options = replace(options, grid_um=unit_um * options.grid_um)
     coarsest_um = unit_um * _COARSEST_UM
-    moving, fixed = (_detail(m.values, valid, pixel, coarsest_um) for m in (a, b))
+    moving = _detail(a.values, valid, pixel, coarsest_um)
+    fixed = _detail(b.values, valid, pixel, coarsest_um)
     fine = refine(moving, fixed, valid, pixel_um=pixel, fit=fit, options=options)
 
     unbounded = replace(options, bounded=False)
@@ -334,12 +349,13 @@ def refine_link(
         of_r = cross_fitted(moving, fixed, tune, valid=valid, pixel_um=pixel)
     except CannotMeasure:
         of_r = searched_null(moving, tune, valid=valid)
+    moved_rms_um, moved_most_um = fine.moved_um
     facts = RefinementFacts(
         model=fine.model,
         metric=fine.metric,
         property=str(a.name),
-        moved_rms_um=fine.moved_um[0],
-        moved_most_um=fine.moved_um[1],
+        moved_rms_um=moved_rms_um,
+        moved_most_um=moved_most_um,
         share_of_expected_error=fine.share,
         area=fine.area,
         strain=fine.strain,

@@ -4,6 +4,7 @@ Down to which wavelength they show the same.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -87,32 +88,39 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     check_varying(is_valid, a=a, b=b)
     waves = Waves(is_valid, pixel, a, b)
     # Rings that lie whole within the shorter Nyquist frequency.
-    last = int(0.5 / max(pixel) / waves.resolution - 0.5)
+    nyquist_per_um = 0.5 / max(pixel)
+    last = int(nyquist_per_um / waves.resolution - 0.5)
     if last < 3:
         raise CannotMeasure(
             f"The field holds {last} rings of frequency, 3 are needed. Give a larger map."
         )
     inside = half_plane(is_valid.shape) & (waves.ring >= 1) & (waves.ring <= last)
+    ring_numbers = waves.ring[inside]
 
     def sums(values: Array) -> Floats:
-        totals = np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)
+        """Sum values of single waves in each ring, from the first to the last."""
+        totals = np.bincount(ring_numbers, weights=values[inside], minlength=last + 1)
         return totals[1:].astype(np.float64)
 
     count = sums(np.ones(inside.shape))
     spectrum_a, spectrum_b = waves.spectra
-    spread = np.sqrt(sums(np.abs(spectrum_a) ** 2) * sums(np.abs(spectrum_b) ** 2))
-    correlation = sums((np.conj(spectrum_a) * spectrum_b).real) / np.maximum(spread, 1e-300)
-    weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
+    power_a = sums(np.abs(spectrum_a) ** 2)
+    power_b = sums(np.abs(spectrum_b) ** 2)
+    spread = np.sqrt(power_a * power_b)
+    cross = sums((np.conj(spectrum_a) * spectrum_b).real)
+    correlation = cross / np.maximum(spread, 1e-300)
+    n_strong_waves = sums(waves.stand_out.astype(np.float64))
+    weak = np.flatnonzero(n_strong_waves < count)
     wavelengths_um = count / sums(waves.frequency)
     modes = count / waves.joined
     columns = np.stack([wavelengths_um, correlation, modes], axis=1)
     n_strong = weak[0] if weak.size else last
-    rings = tuple(
-        Ring(wavelength_um=um, correlation=r, threshold=half_bit(n), modes=n)
-        for um, r, n in columns[:n_strong].tolist()
-    )
+    rings: list[Ring] = []
+    for um, r, n in columns[:n_strong].tolist():
+        ring = Ring(wavelength_um=um, correlation=r, threshold=half_bit(n), modes=n)
+        rings.append(ring)
     resolution_um, sentence = _resolved(rings, leaking=bool(weak.size))
-    return RingCorrelation(rings=rings, resolution_um=resolution_um, sentence=sentence)
+    return RingCorrelation(rings=tuple(rings), resolution_um=resolution_um, sentence=sentence)
 
 
 def half_bit(modes: float) -> float:
@@ -133,8 +141,13 @@ def half_bit(modes: float) -> float:
     return (ratio + (cross + 1) / root) / (1 + ratio + cross / root)
 
 
-def _resolved(rings: tuple[Ring, ...], *, leaking: bool) -> tuple[float | None, str]:
-    """Wavelength down to which the rings agree, None if they do not say, and the same in words."""
+def _resolved(rings: Sequence[Ring], *, leaking: bool) -> tuple[float | None, str]:
+    """Wavelength down to which the rings agree, None if they do not say, and the same in words.
+
+    It lies between the last ring above its threshold and the first one below, where the line
+    between both excesses over frequency is 0. ``leaking``: the rings end where shorter waves are
+    mere leakage of longer ones, not at the pixel.
+    """
     excesses = [ring.correlation - ring.threshold for ring in rings]
     first_below = next((k for k, v in enumerate(excesses) if v < 0), None)
     if first_below is None:
@@ -146,10 +159,10 @@ def _resolved(rings: tuple[Ring, ...], *, leaking: bool) -> tuple[float | None, 
     if first_below == 0:
         longest_um = rings[0].wavelength_um
         return None, f"Not even the longest waves ({longest_um:.3g} um) agree. No resolution."
-    above, below = excesses[first_below - 1 : first_below + 1]
-    frequency_above, frequency_below = (
-        1 / ring.wavelength_um for ring in rings[first_below - 1 : first_below + 1]
-    )
+    pair = slice(first_below - 1, first_below + 1)
+    above, below = excesses[pair]
+    frequency_above, frequency_below = (1 / ring.wavelength_um for ring in rings[pair])
     share = above / (above - below)
-    resolution_um = 1 / (frequency_above + share * (frequency_below - frequency_above))
+    frequency = frequency_above + share * (frequency_below - frequency_above)
+    resolution_um = 1 / frequency
     return resolution_um, f"Both show the same down to waves of {resolution_um:.3g} um (half bit)."

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from planish.analyze.distributions import around, t_95, variance_interval
 from planish.analyze.formation import Formation, RandomSheet
 from planish.core.area import valid_in_all
 from planish.core.facts import NULL, DescribedModel, Interval, Trust, Value
-from planish.core.typing import Array, Complexes, Floats, Pair, pair_of
+from planish.core.typing import Array, Complexes, Entries, Floats, Pair, pair_of
 from planish.texture.octave_spectra import OctaveFields, OctavePower
 
 _LEAST_SIGNAL = 0.1  # share of the power that is no noise: below, the rest says nothing of the map
@@ -178,32 +177,41 @@ def octaves_of_map(
             " and each is 4 pixels long or more. Give a larger field, or smaller pixels."
         )
         return facts.model_copy(update={"reason": reason}), ()
-    noise = _noise_of(halves, len(maps), fields)
-    mean = facts.mean if maps[0].has_zero and facts.mean > 0 else math.nan
+    count = len(maps)
+    noise = _noise_of(halves, count, fields)
+    mean = math.nan
+    if maps[0].has_zero and facts.mean > 0:
+        mean = facts.mean
     bands: list[ScaleBand] = []
     for power in field.powers(arrays):
-        octave_noise = noise.get(power.low_um, _Noise.none(len(maps)))
+        octave_noise = noise.get(power.low_um, _Noise.none(count))
         values = _spread(power, octave_noise, mean)
-        if len(maps) > 1:
+        if count > 1:
             values |= _relation(power, octave_noise)
-        bands.append(ScaleBand(low_um=power.low_um, high_um=power.high_um, **values))
+        band = ScaleBand(low_um=power.low_um, high_um=power.high_um, **values)
+        bands.append(band)
     return facts, tuple(bands)
 
 
 def _facts_on(facts: MapScales, values: Array, is_valid: Array, pixel_um: Pair) -> MapScales:
-    n = int(np.count_nonzero(is_valid))
-    mean = float(values[is_valid].mean(dtype=np.float64)) if n else math.nan
+    """What a map is, with its mean and the extent of what counts of it."""
+    known_values = values[is_valid]
+    n = known_values.size
+    mean = math.nan
+    if n:
+        mean = float(known_values.mean(dtype=np.float64))
     field_um = pair_of(np.multiply(is_valid.shape, pixel_um))
-    update = {"n": n, "mean": mean, "pixel_um": pixel_um, "field_um": field_um}
-    return facts.model_copy(update=update | {"known_share": n / is_valid.size})
+    update: Entries = {"n": n, "mean": mean, "pixel_um": pixel_um, "field_um": field_um}
+    update["known_share"] = n / is_valid.size
+    return facts.model_copy(update=update)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Noise:
     """Power of the noise of maps in an octave, with each other, and its degrees of freedom."""
 
-    power: Complexes
-    degrees: Floats
+    power: Complexes  # (maps, maps); 0 where nothing is known
+    degrees: Floats  # (maps,); infinite there
 
     @classmethod
     def none(cls, count: int) -> _Noise:
@@ -215,26 +223,34 @@ class _Noise:
 def _noise_of(
     halves: Sequence[HalfDifferences], count: int, fields: OctaveFields
 ) -> dict[float, _Noise]:
-    """Noise of maps by the shortest wave of each octave."""
+    """Noise of so many maps by the shortest wave of each octave, in um.
+
+    Maps of which no two halves are given have none.
+    """
     noise: dict[float, _Noise] = {}
     for half in halves:
         numbers = list(half.of_maps)
         differences = list(half.of_maps.values())
         field = fields.on(valid_in_all(differences), half.pixel_um)
-        for power in field.powers(differences, rows=[half.of_rows] * len(differences)):
+        are_of_rows = [half.of_rows] * len(differences)
+        for power in field.powers(differences, rows=are_of_rows):
             octave_noise = noise.setdefault(power.low_um, _Noise.none(count))
             octave_noise.power[np.ix_(numbers, numbers)] = power.power
             octave_noise.degrees[numbers] = power.degrees
     return noise
 
 
-def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
-    """Standard deviation of the first map, with its interval."""
+def _spread(power: OctavePower, noise: _Noise, mean: float) -> Entries:
+    """Standard deviation of the first map in an octave, with its interval, as fields of a band.
+
+    ``mean`` is that of the map, NaN where it has no coefficient of variation. No interval where the
+    octave has too few independent waves.
+    """
     total = power.power[0, 0].real
     noise_power = noise.power[0, 0].real
     rest = total - noise_power
     sd = math.sqrt(max(rest, 0.0))
-    fields: dict[str, Any] = {"sd": sd, "modes": power.modes, "cov": sd / mean}
+    fields: Entries = {"sd": sd, "modes": power.modes, "cov": sd / mean}
     if noise_power > 0:
         fields["noise"] = math.sqrt(noise_power)
     if power.modes < _LEAST_MODES or power.degrees[0] < _LEAST_DEGREES:
@@ -248,13 +264,19 @@ def _spread(power: OctavePower, noise: _Noise, mean: float) -> dict[str, Any]:
     return fields
 
 
-def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
-    """Gain, coherence and phase of the first map against the second."""
+def _relation(power: OctavePower, noise: _Noise) -> Entries:
+    """Gain, coherence and phase of the first map against the second, as fields of a band.
+
+    Nothing where the octave has too few independent waves, or one of the maps is nearly all noise.
+    """
     totals = np.diag(power.power).real
-    shares = 1.0 - np.diag(noise.power).real / np.maximum(totals, 1e-300)
+    noise_powers = np.diag(noise.power).real
+    # Of each map's power, what is no noise.
+    shares = 1.0 - noise_powers / np.maximum(totals, 1e-300)
     modes = 0.5 * min(power.degrees[1], 2.0 * power.modes)
     raw_coherence = power.coherence[1, 0]
-    if modes < _LEAST_MODES or not shares.min() > _LEAST_SIGNAL or math.isnan(raw_coherence):
+    has_signal = shares.min() > _LEAST_SIGNAL
+    if modes < _LEAST_MODES or not has_signal or math.isnan(raw_coherence):
         return {}
     cross = complex(power.power[1, 0])
     cross_rest = cross - complex(noise.power[1, 0])
@@ -262,24 +284,30 @@ def _relation(power: OctavePower, noise: _Noise) -> dict[str, Any]:
     own_power = totals[1] * shares[1]
     t = t_95(2 * modes - 2)
     # Of noise in the cross power and, where noise was taken off the second map, in its power.
-    error = math.sqrt((1 - raw) / (2 * modes * raw)) if raw > 0 else math.inf
-    error_of_noise = math.sqrt(2 / noise.degrees[1]) * (1 - shares[1]) / shares[1]
+    error = math.inf
+    if raw > 0:
+        error = math.sqrt((1 - raw) / (2 * modes * raw))
+    noise_share = 1 - shares[1]
+    error_of_noise = math.sqrt(2 / noise.degrees[1]) * noise_share / shares[1]
     relative = t * math.hypot(error, error_of_noise)
     sign = math.copysign(1.0, cross_rest.real)
     gain = sign * abs(cross_rest) / own_power
     phase_deg = math.degrees(math.atan2(cross_rest.imag, cross_rest.real))
-    fields: dict[str, Any] = {"gain": gain, "phase_deg": phase_deg}
+    fields: Entries = {"gain": gain, "phase_deg": phase_deg}
     fields["gain_interval"] = around(gain, abs(gain) * relative)
     if t * error < 1:
-        fields["phase_interval"] = around(phase_deg, math.degrees(math.asin(t * error)))
+        width_deg = math.degrees(math.asin(t * error))
+        fields["phase_interval"] = around(phase_deg, width_deg)
     factor = 1.0
     if abs(cross) > 0:
         factor = abs(cross_rest / cross) ** 2 / shares.prod()
     by_chance = 1 / power.modes
     fields["coherence"] = factor * (raw_coherence - by_chance) / (1 - by_chance)
-    z = math.atanh(min(math.sqrt(raw_coherence), 1 - 1e-12))
-    ends = np.maximum(around(z, 1.96 / math.sqrt(2 * power.modes - 2)), 0.0)
-    fields["coherence_interval"] = pair_of(np.minimum(factor * np.tanh(ends) ** 2, 1.0))
+    raw_r = min(math.sqrt(raw_coherence), 1 - 1e-12)
+    width = 1.96 / math.sqrt(2 * power.modes - 2)
+    ends = np.maximum(around(math.atanh(raw_r), width), 0.0)
+    limits = factor * np.tanh(ends) ** 2
+    fields["coherence_interval"] = pair_of(np.minimum(limits, 1.0))
     return fields
 
 

@@ -32,9 +32,12 @@ class SharedError(DescribedModel):
 
 def _signs_of_surfaces() -> dict[str, dict[str, float]]:
     """With which sign the height of each surface enters each map."""
-    signs = {name: {upper: 1.0, lower: -1.0} for name, (upper, lower) in LENGTHS.items()}
+    signs: dict[str, dict[str, float]] = {}
+    for name, (upper, lower) in LENGTHS.items():
+        signs[name] = {upper: 1.0, lower: -1.0}
     for name, surface in HEIGHTS.items():
-        signs[name] = {surface: 1.0 if name.endswith("_top") else -1.0}
+        outwards = 1.0 if name.endswith("_top") else -1.0
+        signs[name] = {surface: outwards}
     for surfaces in signs.values():
         surfaces.pop("centre", None)  # a smooth surface, whose error is that of both faces' mean
     return signs
@@ -87,12 +90,18 @@ def covariance_of_errors(names: Sequence[str], stated: Mapping[str, float]) -> F
 
 
 def _variances_of_surfaces(stated: Mapping[str, float]) -> Floats:
+    """Variance of the error of each of SURFACES, by least squares.
+
+    Each stated error says that the variances of the map's surfaces add up to its square. A weak
+    equation for each surface, that its variance is 0, picks the most even ones of several.
+    """
     equations = [*(_EVEN * np.eye(len(SURFACES)))]
     squares = [0.0] * len(SURFACES)
     for name, error in stated.items():
         surfaces = [name] if name in SURFACES else [*SIGNS.get(name, {})]
         if surfaces:
-            equations.append(np.array([float(surface in surfaces) for surface in SURFACES]))
+            counts = [float(surface in surfaces) for surface in SURFACES]
+            equations.append(np.array(counts))
             squares.append(error**2)
     return optimize.nnls(np.array(equations), np.array(squares))[0]
 
@@ -102,8 +111,11 @@ def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[SharedError, 
     sharings: list[SharedError] = []
     deviations = np.sqrt(np.diag(covariance))
     for first, second in np.argwhere(np.triu(covariance, 1)).tolist():
-        a, b = names[first], names[second]
-        surface = next(name for name in SIGNS[bare_name(a)] if name in SIGNS[bare_name(b)])
-        correlation = covariance[first, second] / (deviations[first] * deviations[second])
+        a = names[first]
+        b = names[second]
+        surfaces_of_b = SIGNS[bare_name(b)]
+        surface = next(name for name in SIGNS[bare_name(a)] if name in surfaces_of_b)
+        spread = deviations[first] * deviations[second]
+        correlation = covariance[first, second] / spread
         sharings.append(SharedError(a=a, b=b, surface=surface, correlation=correlation))
     return tuple(sharings)

@@ -10,7 +10,7 @@ import xarray as xr
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.transform import Similarity
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Texts
 from planish.measure.registry import HEIGHTS, LENGTHS
 
 
@@ -38,8 +38,9 @@ class SheetColumns:
 
         NaN where it was not measured.
         """
-        is_alone = name in LENGTHS
-        return (self.faces(name) if is_alone else self.measured[name].values), is_alone
+        if name in LENGTHS:
+            return self.faces(name), True
+        return self.measured[name].values, False
 
     def faces(self, name: str) -> Floats:
         """A length or a height by the faces at each column, whose noise is of this column alone.
@@ -48,7 +49,9 @@ class SheetColumns:
         map is given as it is.
         """
         data = self.measured
-        ends = LENGTHS.get(name) or ((HEIGHTS[name],) if name in HEIGHTS else ())
+        ends: Texts = LENGTHS.get(name, ())  # the upper face, then the lower one
+        if name in HEIGHTS:
+            ends = (HEIGHTS[name],)
         if not ends:
             return data[name].values
         faces: list[Floats] = []
@@ -60,16 +63,20 @@ class SheetColumns:
             faces.append(values)
         slopes = np.gradient(data["centre"].values, *pitch(data))
         cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        length_um = faces[0] - faces[1] if len(faces) > 1 else faces[0]
+        length_um = faces[0]
+        if len(faces) > 1:
+            length_um = length_um - faces[1]
         outwards_um = Frame.of(data).sign * length_um * cosine
         return np.where(np.isfinite(data[name].values), outwards_um, np.nan)
 
     def shared(self, *, alone: bool) -> str:
         """What both halves share, in words."""
-        attrs, causes = self.measured.attrs, ["grey levels, blur and rings of one scan"]
+        attrs = self.measured.attrs
+        causes = ["grey levels, blur and rings of one scan"]
         if "from_labels" in attrs:
             causes = ["whatever the program smoothed that made the labels"]
-        if (blend := float(attrs.get("averaged_columns", 0.0))) > 0:
+        blend = float(attrs.get("averaged_columns", 0.0))
+        if blend > 0:
             causes.append(
                 f"noise, as columns were averaged with their neighbours (Gaussian of {blend:.2g}"
                 " columns)"

@@ -259,23 +259,28 @@ def variances_of(fields: Fields) -> SheetVariances:
     if n == k:
         return SheetVariances(reason="no sheet has two fields")
     means = fields.means
-    within = sum(v.var() * v.size for v in sheets) / (n - k)
-    spread = spread_of(means) ** 2
-    if not within > (_SAME * np.abs(means).max()) ** 2:
+    squares_within = sum(v.var() * v.size for v in sheets)
+    within = squares_within / (n - k)
+    spread = spread_of(means) ** 2  # variance of the means of sheets
+    rounding = _SAME * np.abs(means).max()
+    if not within > rounding**2:
+        share = 1.0 if spread > 0 else math.nan
         return SheetVariances(
             sd_between=math.sqrt(spread),
             sd_within=0.0,
-            share=1.0 if spread > 0 else math.nan,
+            share=share,
             reason="all fields of a sheet have the same value",
         )
     fields_per_sheet = k / np.sum(1 / counts)  # harmonic mean
     between = max(spread - within / fields_per_sheet, 0.0)
     grand_mean = counts @ means / n
-    ratio = np.sum(counts * (means - grand_mean) ** 2) / (k - 1) / within
+    squares_between = np.sum(counts * (means - grand_mean) ** 2)
+    ratio = squares_between / (k - 1) / within
     interval = np.full(2, math.nan)
     if not too_few(k):
         f = special.fdtri(k - 1, n - k, [0.975, 0.025])
-        excess = np.maximum(fields_per_sheet * spread / within / f - 1, 0.0)
+        ratio_of_means = fields_per_sheet * spread / within
+        excess = np.maximum(ratio_of_means / f - 1, 0.0)
         interval = excess / (fields_per_sheet + excess)
     return SheetVariances(
         sd_between=math.sqrt(between),

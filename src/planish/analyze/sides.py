@@ -76,7 +76,8 @@ def image_of_sheet(
         text = f"Specimen: inconclusive, because the sheet and {image} share no field."
         return SideFound(_check("unknown", text))
     coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated})
-    side_text = f"The {side} side was {'given' if is_given else 'assumed'}"
+    origin = "given" if is_given else "assumed"
+    side_text = f"The {side} side was {origin}"
     other = _OPPOSITE[side]
     side_coating = coatings.get(side)
     other_coating = coatings.get(other)
@@ -112,19 +113,23 @@ def _by_slopes_and_thickness(
 ) -> SideFound:
     """State what face slopes and the thickness say where no coating goes with the image.
 
-    The slopes are those of the faces under light from one side.
+    The slopes are those of the faces under light from one side. ``coatings`` are the relations that
+    were tried, ``side_text`` says where ``side`` comes from, and ``image`` what the image is called.
     """
     heights: dict[Side, str] = {k: height_map(k, texture.maps) for k in SIDES}
     for name in heights.values():
         if name in texture.maps:
             texture = texture.with_slopes(name)
-    slopes = _faces(texture, {k: [f"{name}_x", f"{name}_y"] for k, name in heights.items()})
+    names: dict[Side, list[str]] = {k: [f"{name}_x", f"{name}_y"] for k, name in heights.items()}
+    slopes = _faces(texture, names)
     tried_text = "; ".join(f"coating of the {k} side {r}" for k, r in coatings.items())
     for face in (side, _OPPOSITE[side]):
         shown = slopes.get(face)
         if not _stands_out(shown, slopes.get(_OPPOSITE[face])):
             continue
-        not_coatings_text = f", not with the coatings ({tried_text})" if tried_text else ""
+        not_coatings_text = ""
+        if tried_text:
+            not_coatings_text = f", not with the coatings ({tried_text})"
         text = (
             f"{capital(image)} correlates with the slopes of the {face} face, as light from one"
             f" side shows them ({shown}){not_coatings_text}. {side_text}."
@@ -141,7 +146,11 @@ def _without_side(
     tried_text: str,
     image: str,
 ) -> Check:
-    """Judge whether thickness, heights or slopes say that both show one specimen."""
+    """Judge whether thickness, heights or slopes say that both show one specimen.
+
+    The side is not told by them. Where the sheet has a coating on it, that its coating does not
+    show asks for a look.
+    """
     names = ("thickness", "base_thickness", height_map(side, texture.maps))
     relations = {k: _relation(texture, k, "image") for k in texture.maps if k in names}
     relations |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
@@ -150,7 +159,8 @@ def _without_side(
     specimen_text = _NO_WORD
     figures = _OF_A_SPECIMEN
     if best is not None and abs(best.z) > Z_RELATED:
-        specimen_text = f"it correlates with the {best_map.replace('_', ' ')} ({best}), {_ONE}"
+        map_text = best_map.replace("_", " ")
+        specimen_text = f"it correlates with the {map_text} ({best}), {_ONE}"
         figures = (CORRELATION,)
     if side not in coatings:
         text = (
@@ -320,15 +330,19 @@ def _compared_with(relation: Relation, side: Side) -> str:
 
 
 def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relation]:
-    """Partial correlation of each face with the image.
+    """Partial correlation of each face with the image, by its side.
 
-    Of several maps of a face that which stands out most.
+    ``names`` are the maps of each face, such as its slopes along x and y, in the same order on both
+    sides. Of several maps of a face that which stands out most is taken; a face without any of its
+    maps is left out.
     """
     strongest_relations: dict[Side, Relation] = {}
     for side, names_of_side in names.items():
         rival_names = names.get(_OPPOSITE[side], repeat(""))
-        pairs = zip(names_of_side, rival_names, strict=False)
-        relations = [_face_relation(texture, *pair) for pair in pairs if pair[0] in texture.maps]
+        relations: list[Relation] = []
+        for name, rival_name in zip(names_of_side, rival_names, strict=False):
+            if name in texture.maps:
+                relations.append(_face_relation(texture, name, rival_name))
         strongest = _strongest(relations)
         if strongest is not None:
             strongest_relations[side] = strongest
@@ -338,7 +352,8 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
 def _face_relation(texture: Textures, name: str, rival_name: str) -> Relation:
     """Correlation of a map of a face with the image, freed of that of the other face."""
     image = texture.maps["image"]
-    face, shown = texture.maps[name], image
+    face = texture.maps[name]
+    shown = image
     rival = texture.maps.get(rival_name)
     if rival is not None:
         face = unexplained(face, rival)
@@ -353,9 +368,10 @@ def _mean_relation(texture: Textures, pairs: Iterable[tuple[str, str]]) -> Relat
     if not measured:
         return None
     relations = [_relation(texture, *pair) for pair in measured]
-    r = sum(relation.r for relation in relations) / len(relations)
-    sd = math.hypot(*(relation.sd for relation in relations)) / len(relations)
-    return Relation(r, sd, r, sd)
+    n = len(relations)
+    r = sum(relation.r for relation in relations) / n
+    sd = math.hypot(*(relation.sd for relation in relations)) / n
+    return Relation(r, sd, r, sd)  # no partial r beside it: the same twice
 
 
 class TextureFound(NamedTuple):
@@ -402,26 +418,32 @@ def texture_of(
         text = f"Specimen and position by texture: inconclusive. {error.text}"
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
     judged = _judged_layers(texture, a, b, names, side, is_given=is_given)
-    if any("image" in layer and "reach_um" in layer["image"].attrs for layer in (a, b)):
-        return _without_screen(judged.check)
+    check = judged.check
+    images = [layer["image"] for layer in (a, b) if "image" in layer]
+    if any("reach_um" in image.attrs for image in images):
+        return _without_screen(check)
     expected_um = _expected_um(a, b, valid)
-    short = shorter_side_um(judged.texture.known.shape, judged.texture.pixel_um)
-    tiles_um = _TILE_UM if short >= 2 * _TILE_UM else None
+    texture = judged.texture
+    short = shorter_side_um(texture.known.shape, texture.pixel_um)
+    tiles_um = None
+    if short >= 2 * _TILE_UM:
+        tiles_um = _TILE_UM
+    source_maps = [*judged.source_maps, *judged.slopes]
     try:
         offset = lag.texture_lag(
-            judged.texture,
-            [*judged.source_maps, *judged.slopes],
+            texture,
+            source_maps,
             judged.target_map,
             slopes=len(judged.slopes),
             reach_um=min(150.0, short / 4),
             tiles_um=tiles_um,
-        ).scaled(unit_um)
+        )
     except SizeError:
-        return TextureFound(None, (judged.check,))
-    check = judged.check
+        return TextureFound(None, (check,))
+    offset = offset.scaled(unit_um)
     if offset.distinct:
         check = _moved(check, offset.length_um)
-    numbers = offset.numbers(judged.source_maps[0], expected_um)
+    numbers = offset.numbers(source_maps[0], expected_um)
     return TextureFound(numbers, (check, offset.check(expected_um)))
 
 
@@ -452,19 +474,24 @@ def _judged_layers(
     *,
     is_given: bool,
 ) -> _Judged:
-    """Judge two images, two sheets, or a sheet and an image, which comes second."""
+    """Judge two images, two sheets, or a sheet and an image, which comes second.
+
+    ``texture`` holds the maps of both layers on the pixels that count; ``names`` are what sentences
+    call the layers, ``side`` is the one that an image shows, as given or as assumed.
+    """
     if "thickness" not in a:
         return _Judged(two_images(texture, names), texture, ["image"], "other image")
     coated = _coated(a)
     if "thickness" in b:
         coated_of_b = _coated(b)
         coated_in_both: list[Side] = [k for k in coated if k in coated_of_b]
-        source_map = f"coating_{coated_in_both[0]}" if coated_in_both else "thickness"
+        source_map = "thickness"
+        if coated_in_both:
+            source_map = f"coating_{coated_in_both[0]}"
         check = two_sheets(texture, names, coated=coated_in_both)
         return _Judged(check, texture, [source_map], f"other {source_map}")
-    check, face = image_of_sheet(
-        texture, coated=coated, side=side, is_given=is_given, image=names[1]
-    )
+    _, image = names
+    check, face = image_of_sheet(texture, coated=coated, side=side, is_given=is_given, image=image)
     return _Judged(check, *_shown_of(texture, face or side, coated))
 
 
@@ -522,8 +549,13 @@ def _goes_through(texture: Textures, coating: str) -> bool:
 
 
 def _maps_of(layer: xr.Dataset, valid: Bools) -> dict[str, xr.DataArray]:
-    names = (*_MAPS, *(height_map(side, layer) for side in SIDES), "image")
-    return {k: layer[k] for k in names if k in layer and any_finite(layer[k], valid)}
+    """Maps of a layer whose texture is compared, where any pixel that counts has a value."""
+    heights = [height_map(side, layer) for side in SIDES]
+    maps: dict[str, xr.DataArray] = {}
+    for name in (*_MAPS, *heights, "image"):
+        if name in layer and any_finite(layer[name], valid):
+            maps[name] = layer[name]
+    return maps
 
 
 def _maps_of_pair(a: xr.Dataset, b: xr.Dataset, valid: Bools) -> dict[str, xr.DataArray]:
@@ -595,10 +627,13 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
     sides: list[Side] = []
     for side in SIDES:
         names = (f"coating_{side}", f"coating_{side}_se")
-        use, *maps = thinned(sheet["valid"], *(sheet[k] for k in names if k in sheet))[1]
+        measured = [sheet[k] for k in names if k in sheet]
+        # At some pixels spread over the sheet.
+        use, *maps = thinned(sheet["valid"], *measured)[1]
         coat_um, *errors_um = (m[use & np.isfinite(m)] for m in maps)
         limit_um = 3.0 * sum(np.median(m) for m in errors_um if m.size)
-        is_measured = coat_um.size >= max(1, 0.5 * np.count_nonzero(use))
+        half_of_sheet = 0.5 * np.count_nonzero(use)
+        is_measured = coat_um.size >= max(1, half_of_sheet)
         if is_measured and np.median(coat_um) > limit_um:
             sides.append(side)
     return sides
