@@ -305,7 +305,9 @@ class AgreementFacts(Agreement, RingCorrelation):
 def answer_agreement(pair: ComparedMaps) -> Entries:
     """Compare two sheets with one quantity.
 
-    Rings of waves over the cells, bias and limits over the larger points.
+    Rings of waves over the cells, bias and limits over the larger points. Nothing for other pairs,
+    which have no ``repeated_points``. Where a part cannot be told, it stays empty: the rings then
+    say why; the line needs a ratio of errors in the study, and stays empty too where it has none.
     """
     points = pair.repeated_points
     if points is None:

@@ -285,11 +285,8 @@ def _shift_seen(free: float) -> float:
     high = 4.0  # not at once a large one: far out, the distribution's numbers are not defined
     while _power_of_shift(high, free) < _POWER:
         high *= 2
-
-    def excess(shift: float) -> float:
-        return _power_of_shift(shift, free) - _POWER
-
-    return float(optimize.brentq(excess, 0.0, high, xtol=1e-10))
+    shift = optimize.brentq(lambda t: _power_of_shift(t, free) - _POWER, 0.0, high, xtol=1e-10)
+    return float(shift)
 
 
 def _power_of_shift(shift: float, free: float) -> float:

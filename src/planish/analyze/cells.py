@@ -57,6 +57,8 @@ class CellColumn:
 def columns_of(name: str, values: xr.DataArray) -> list[CellColumn]:
     """Make the columns of a map: one of a quantity, one for each level but the first of a factor.
 
+    A map of real numbers is a quantity, one of truth values a factor of which the true ones are a
+    column, and one of whole numbers a factor.
     InputError for angles of an axis, for labels without a second level, or with too many of them.
     """
     refuse_axial(values)
@@ -86,7 +88,8 @@ def means_over_cells(
 ) -> list[list[Floats]]:
     """Give the mean of each column over the cells of each size; NaN where half is not known.
 
-    Pixels count that have a value in all maps and where all masks are true.
+    Pixels count that have a value in all maps and where all masks are true. The lists are by size,
+    as ``sizes_um`` are, then by column; means are (rows, cols) of cells.
     """
     maps = [column.values for column in columns]
     n_maps = len(maps)

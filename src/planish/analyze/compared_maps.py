@@ -10,7 +10,7 @@ from planish.analyze.quadratic_field import QuadraticField
 from planish.analyze.sheet_columns import SheetColumns
 from planish.core.area import area_mean, square_px
 from planish.core.grid import Grid
-from planish.core.typing import Entries, Floats, Pair
+from planish.core.typing import Entries, Floats, Pair, TwoFields
 from planish.texture.covariance import Lags
 
 
@@ -34,7 +34,7 @@ class ComparedMaps:
     light: QuadraticField | None = None  # that was taken off the image
     # Means over the larger points, straight from the pixels, where both are sheets and the maps of
     # one quantity.
-    repeated_points: tuple[Floats, Floats] | None = None
+    repeated_points: TwoFields | None = None
 
     @property
     def point_um(self) -> float:
@@ -67,7 +67,7 @@ class ComparedMaps:
         )
 
     @property
-    def points(self) -> tuple[Floats, Floats]:
+    def points(self) -> TwoFields:
         """Both maps averaged over the larger points."""
         factor = square_px(self.point_um, self.cell_um)
         return area_mean(self.x, factor), area_mean(self.y, factor)

@@ -19,7 +19,18 @@ from planish.core.axial import refuse_axial
 from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import NULL, DescribedModel, Interval, Value
-from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, Shape2D, Texts, pair_of
+from planish.core.typing import (
+    Array,
+    Bools,
+    Entries,
+    Floats,
+    Pair,
+    Pixel,
+    Shape2D,
+    Texts,
+    TwoFields,
+    pair_of,
+)
 from planish.texture.covariance import Lags, PairCovariances
 from planish.texture.detrend import shared_trend
 
@@ -119,7 +130,11 @@ class PairSums:
         self._square = np.zeros((3, 3))
 
     def add(self, x: Array, y: Array) -> None:
-        """Add the places where both are finite."""
+        """Add the places where both are finite.
+
+        ``off`` is how far the mean of these lies from that of all before, ``share`` their share of
+        all: both means and their distance enter the sums of squares about the new mean.
+        """
         is_valid = np.isfinite(x) & np.isfinite(y)
         n = int(np.count_nonzero(is_valid))
         if n == 0:
@@ -325,7 +340,11 @@ def on_one_grid(a: Rows, b: Rows, pixel_um: Pixel | None, mask: Rows | None = No
 
 
 def _check_map(name: str, values: Any, like: Rows) -> None:
-    """Raise InputError where a map, or a mask, is no array of numbers on the pixels of another."""
+    """Raise InputError where a map, or a mask, is no array of numbers on the pixels of another.
+
+    Angles of an axis are refused: an angle and its opposite would be averaged. Arrays that are no
+    numbers, such as text, go to ``check_numbers`` first, whose message says more.
+    """
     if isinstance(getattr(values, "dtype", None), np.dtype):
         check_numbers(values, name, kinds="b" if name == "mask" else "fiub")
     n_axes = len(getattr(values, "shape", ()))
@@ -416,6 +435,11 @@ class PairAtSizes:
         point_um: float | None,
         most_cells: int = _MOST_CELLS,
     ) -> None:
+        """Begin with no rows; ``shape`` and ``pixel_um`` (y, x) are those of both maps.
+
+        No points without ``point_um``, or where they would be smaller than a pixel. A cell is so
+        many pixels wide that there are ``most_cells`` of them at most.
+        """
         self._pixel_um = pixel_um
         self._point_um = point_um or math.nan
         point_px = square_px(self._point_um, pixel_um)
@@ -485,7 +509,7 @@ class PairAtSizes:
         assert self._cells is not None
         return self._cells.means(), pair_of(np.multiply(self._factor, self._pixel_um))
 
-    def points(self) -> tuple[Floats, Floats]:
+    def points(self) -> TwoFields:
         """The means of both maps; none where a point would be smaller than a pixel."""
         means = self._points.means() if self._points is not None else []
         x, y = means or [np.empty((0, 0))] * 2

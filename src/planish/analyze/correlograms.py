@@ -151,7 +151,9 @@ def correlogram_of(
 ) -> Correlogram:
     """The same for maps (rows, cols).
 
-    Given are the pixels that count in each, and the lags of those that count in both.
+    Given are the pixels that count in each, and the lags of those that count in both. The reach is
+    a whole number of pixels along either axis, one at least and half of the field at most; lag 0 is
+    the middle row and column of all arrays by lag. CannotMeasure where no lag has enough pairs.
     """
     a, b = (values.astype(np.float64) for values in maps)
     a_valid, b_valid = valid

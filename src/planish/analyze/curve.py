@@ -178,7 +178,11 @@ def straight_or_curved(
 
 
 def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floats, float]:
-    """Values that are known in both, and how many are independent."""
+    """Values (n,) that are known in both, and how many are independent: ``n_eff`` as a number.
+
+    InputError where the arrays do not fit each other, or ``n_eff`` is no number of so many points;
+    CannotMeasure where too few points are independent, or x has fewer than 3 values.
+    """
     arrays = (values_of(x, "x"), values_of(y, "y"))
     if np.shape(x) != np.shape(y):
         raise InputError(f"x has {np.shape(x)} points, y has {np.shape(y)}. Give one y for each x.")

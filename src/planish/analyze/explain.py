@@ -31,7 +31,7 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import NULL, DescribedModel, Interval, Trust, Value
 from planish.core.grid import Grid
 from planish.core.text import and_join
-from planish.core.typing import Array, Entries, Floats, Ints
+from planish.core.typing import Array, Entries, Floats, Ints, Texts
 from planish.measure.registry import NEGATIVE_CONTROLS, SUMS, shared_parts
 from planish.texture.covariance import Lags
 
@@ -97,7 +97,7 @@ class SharedPart(DescribedModel):
     """First map."""
     b: str
     """Second map."""
-    parts: tuple[str, ...]
+    parts: Texts
     """The largest maps that both contain."""
 
 
@@ -129,7 +129,7 @@ class ModelFacts(DescribedModel):
     """Its title."""
     units: str = "1"
     """Its unit."""
-    of: tuple[str, ...]
+    of: Texts
     """Maps that explain it."""
     cell_um: float
     """Edge of a cell."""
@@ -170,7 +170,7 @@ class Explained(ModelFacts):
     """Predictors whose errors go together."""
     shared_parts: tuple[SharedPart, ...] = ()
     """Maps of the model that contain the same map."""
-    controls: tuple[str, ...] = ()
+    controls: Texts = ()
     """Predictors that are no property of the sheet: negative controls."""
     trust: Trust = "ok"
     """What the checks of the run leave of it."""
@@ -446,7 +446,11 @@ def _added_by_errors(
 
 
 def _weighed(cells: _Cells, model: Regression, curve: Variogram | None) -> Floats:
-    """Standardised coefficients by generalised least squares; NaN where there are none."""
+    """Standardised coefficients (k,) by generalised least squares; NaN where there are none.
+
+    Weights are by an exponential covariance that is read off ``curve``, the variogram of the
+    residuals; there are none without it, or where the solution does not converge.
+    """
     unknown = np.full(model.plain.size, math.nan)
     if curve is None:
         return unknown
@@ -461,7 +465,7 @@ def _weighed(cells: _Cells, model: Regression, curve: Variogram | None) -> Float
     return weighed.plain * model.scale
 
 
-def _lead_of(model: Regression) -> dict[str, Any]:
+def _lead_of(model: Regression) -> Entries:
     """How far the largest coefficient leads; nothing where there is one alone."""
     if model.plain.size < 2:
         return {}
@@ -478,8 +482,12 @@ def _variogram_of_residuals(cells: _Cells, model: Regression) -> Variogram | Non
         return None
 
 
-def _of_residuals(cells: _Cells, curve: Variogram | None) -> dict[str, Any]:
-    """How far residuals reach, and how well blocks wider than that are predicted."""
+def _of_residuals(cells: _Cells, curve: Variogram | None) -> Entries:
+    """How far residuals reach, and how well blocks wider than that are predicted.
+
+    As fields of the model. Blocks are three ranges of the residuals wide, one cell at least; the
+    reason says why there is no prediction.
+    """
     if curve is None:
         return {
             "reason": "No R2 out of sample: the field is too small to show how far residuals reach."

@@ -85,7 +85,10 @@ def _fields(figure: str, parts: Sequence[Explained | Coefficient], sheets: Seque
 def _pooled_coefficients(
     models: Sequence[Explained], sheets: Sequence[str]
 ) -> dict[str, PooledCoefficient]:
-    """Those that all models have, with p of all together."""
+    """Those that all models have, by predictor, with p of all together (Holm).
+
+    ``sheets`` are the names of the sheets of the models, in the same order.
+    """
     pooled: dict[str, PooledCoefficient] = {}
     for name in models[0].coefficients:
         if all(name in model.coefficients for model in models):
@@ -116,6 +119,10 @@ def _lead_over_sheets(
 def _pooled_coefficient(
     of_models: Sequence[Coefficient], sheets: Sequence[str]
 ) -> PooledCoefficient:
+    """One coefficient of all models: means over sheets, and how much sheets differ.
+
+    p is Student's, of the mean of standardised ones over its error; NaN without an interval.
+    """
     fields = _fields("standardised", of_models, sheets)
     mean = over_sheets(fields)
     plain = over_sheets(_fields("plain", of_models, sheets))

@@ -42,7 +42,11 @@ class RandomSheet(DescribedModel):
         return 1000.0 * self.coarseness_mg_m / (self.width_um * self.grammage_g_m2)
 
     def density(self, per_um: Floats) -> Floats:
-        """Spectral density of grammage over its mean, um2, at frequencies (waves a um)."""
+        """Spectral density of grammage over its mean, um2, at frequencies (waves a um).
+
+        That of one fibre, a rectangle whose transform is a product of two sincs, averaged over all
+        directions of a quarter turn, which stand for the others.
+        """
         length_um = 1000.0 * self.length_mm
         width_um = self.width_um
         step = 0.5 * math.pi / _DIRECTIONS

@@ -189,7 +189,10 @@ class Lag:
     def check(self, expected_error_um: float | None = None) -> Check:
         """State what the lag says of the registration.
 
-        The expected error of the registration (rms, in um) may be unknown.
+        The expected error of the registration (rms, in um) may be unknown: None or NaN. A lag that
+        is as short as both errors allow passes. A longer one asks for a look where it is above 3 of
+        its own standard errors, and is inconclusive below, as is one without a distinct peak.
+        Sentences give lengths to the digits that their error bears.
         """
         start = "Image-based check: inconclusive, because"
         if self.reason is not None:
@@ -235,7 +238,8 @@ class Lag:
     def numbers(self, property_name: str, expected_error_um: float | None = None) -> LagNumbers:
         """Return what stands in the results of a run.
 
-        With the first map's property, and the expected error if known.
+        With the first map's property, and the expected error (rms, in um) if known. Fields that the
+        lag itself has under the same name are taken from it.
         """
         expected_um = math.nan if expected_error_um is None else expected_error_um
         field = self.field

@@ -204,8 +204,8 @@ def _even_light(x: Floats, y: Floats, rest: Floats, terms: Floats, is_valid: Boo
     # What a term took off the covariances depends on its own variance, which follows from them.
     taken_off = np.tensordot(overlaps / pairs, overlaps, ((1, 2), (1, 2)))
     of_rest = np.tensordot(overlaps, products / pairs, 2)
-    kept = np.eye(len(taken_off)) - taken_off
-    variances = np.linalg.solve(kept, of_rest)
+    remaining = np.eye(len(taken_off)) - taken_off
+    variances = np.linalg.solve(remaining, of_rest)
     put_back = np.tensordot(variances, overlaps, 1)
     covariance = (products + put_back) / pairs
     # The terms of a field are those that neither the mean nor the map explain.
@@ -232,7 +232,8 @@ def without_light(
 ) -> tuple[Correlation, Correlation]:
     """Widen the intervals of r with an image that a field was taken off, by what that made unsure.
 
-    ``a`` and ``b`` are map and image over the points.
+    ``a`` and ``b`` are map and image (rows, cols) over the points, ``pixel`` and ``points`` the
+    correlations at both sizes. Both stay as they are where no field can be fitted.
     """
     try:
         field, _ = light_field(a, b, point_um=points.point_um)
@@ -265,7 +266,11 @@ def _less_sure(row: Correlation, ratios: Floats, share: float, inflation: float)
 
 
 def answer_light_field(pair: ComparedMaps) -> Entries:
-    """Give r with a quadratic field off the image, where a sheet is compared with an image."""
+    """Give r with a quadratic field off the image, where a sheet is compared with an image.
+
+    Where the study declares such a field, the run took it off the image before. It is put back
+    here, at the middles of the points, so that r with and without it can be stated.
+    """
     names = pair.a[1], pair.b[1]
     if not pair.has_points or names.count("image") != 1:
         return {}
@@ -273,7 +278,7 @@ def answer_light_field(pair: ComparedMaps) -> Entries:
     image = points.pop("image")
     (sheet,) = points.values()
     light = pair.light
-    if light is not None:  # it was taken off the image
+    if light is not None:
         grid = points_of(pair.grid, image.shape, pair.point_um)
         image = image + light.on(grid)
     field, _ = light_field(sheet, image, point_um=pair.point_um)

@@ -105,7 +105,9 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float) -> Floats:
 def answer_light_spread(pair: ComparedMaps) -> Entries:
     """Correlate an image with a coating blurred as light is.
 
-    It stands beside the coating as it is, at the same points.
+    It stands beside the coating as it is, at the same points: with the difference of both r. The
+    answer is the reason where that cannot be; nothing where the study states no width, or the pair
+    is no coating on an image.
     """
     width_um = pair.params.light_spread_um
     point_um = pair.point_um

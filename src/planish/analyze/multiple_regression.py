@@ -66,7 +66,11 @@ class Regression:
         return self.weights * self.own_variance[:, None, None]
 
     def difference_of_sizes(self, first: int, second: int) -> tuple[float, Pair]:
-        """Size of a standardised coefficient less that of another one, and its 95 % interval."""
+        """Size of a standardised coefficient less that of another one, and its 95 % interval.
+
+        By their numbers. The difference of sizes is the mean of a weight of its own times the
+        response, so its error is that of such a mean; NaN where too few cells are independent.
+        """
         factors = np.sign(self.plain) * self.scale
         weights = factors[:, None, None] * self.weights
         error, n_eff = _error_of_mean(weights[first] - weights[second], self)

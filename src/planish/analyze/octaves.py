@@ -149,6 +149,7 @@ class Waves:
     """
 
     def __init__(self, is_valid: Bools, pixel_um: Pair, *maps: Array) -> None:
+        """Transform each map over the pixels that count, and sort its waves into rings."""
         window = window_of(is_valid)
         self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
         self.frequency = frequencies_of(is_valid.shape, pixel_um)

@@ -108,7 +108,8 @@ def _excess(between: float, y: Floats, v: Floats) -> Pair:
 def _between(y: Floats, v: Floats) -> float:
     """Variance where the weighted sum of squares is its expectation, by Newton's steps from 0.
 
-    The sum is falling and convex.
+    ``y`` are the effects, ``v`` their own variances. The sum is falling and convex, so steps from 0
+    never go too far; where it is below its expectation at 0, the effects do not differ: 0.
     """
     between = 0.0
     for _ in range(200):

@@ -31,7 +31,11 @@ class SharedError(DescribedModel):
 
 
 def _signs_of_surfaces() -> dict[str, dict[str, float]]:
-    """With which sign the height of each surface enters each map."""
+    """With which sign the height of each surface enters each map.
+
+    By map, then by surface. A thickness grows with its upper surface and falls with its lower one;
+    heights count outwards, so those of the bottom face fall with z.
+    """
     signs: dict[str, dict[str, float]] = {}
     for name, (upper, lower) in LENGTHS.items():
         signs[name] = {upper: 1.0, lower: -1.0}
@@ -107,7 +111,10 @@ def _variances_of_surfaces(stated: Mapping[str, float]) -> Floats:
 
 
 def sharings_of(names: Sequence[str], covariance: Floats) -> tuple[SharedError, ...]:
-    """Name the pairs of maps whose errors go together, with the surface that they share."""
+    """Name the pairs of maps whose errors go together, with the surface that they share.
+
+    ``covariance`` (names, names) is that of the errors; each pair is named once.
+    """
     sharings: list[SharedError] = []
     deviations = np.sqrt(np.diag(covariance))
     for first, second in np.argwhere(np.triu(covariance, 1)).tolist():

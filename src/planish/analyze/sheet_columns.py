@@ -45,8 +45,10 @@ class SheetColumns:
     def faces(self, name: str) -> Floats:
         """A length or a height by the faces at each column, whose noise is of this column alone.
 
-        A map itself is read along normals, between columns, and a height is above its form. Another
-        map is given as it is.
+        A map itself is read along normals, between columns, and a height is above its form. So the
+        length along z between the faces of a column, or the height of one face, is projected onto
+        the normal of the centre surface there: (rows, cols) in um, outwards. Another map is given
+        as it is.
         """
         data = self.measured
         ends: Texts = LENGTHS.get(name, ())  # the upper face, then the lower one
@@ -70,7 +72,10 @@ class SheetColumns:
         return np.where(np.isfinite(data[name].values), outwards_um, np.nan)
 
     def shared(self, *, alone: bool) -> str:
-        """What both halves share, in words."""
+        """What both halves share, in words.
+
+        ``alone``: whether the map is of each column alone (:meth:`values`).
+        """
         attrs = self.measured.attrs
         causes = ["grey levels, blur and rings of one scan"]
         if "from_labels" in attrs:

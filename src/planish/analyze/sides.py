@@ -114,7 +114,7 @@ def _by_slopes_and_thickness(
     """State what face slopes and the thickness say where no coating goes with the image.
 
     The slopes are those of the faces under light from one side. ``coatings`` are the relations that
-    were tried, ``side_text`` says where ``side`` comes from, and ``image`` what the image is called.
+    were tried, ``side_text`` says where ``side`` comes from, ``image`` names the image.
     """
     heights: dict[Side, str] = {k: height_map(k, texture.maps) for k in SIDES}
     for name in heights.values():
@@ -246,7 +246,11 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
 def _by_thickness(
     names: tuple[str, str], coatings: Relation | None, thickness: Relation | None
 ) -> Check:
-    """The check of two sheets whose coatings do not go together."""
+    """The check of two sheets whose coatings do not go together.
+
+    The relations are the mean one of equal coatings and that of the thicknesses, None where a map
+    is not in both.
+    """
     a, b = names
     if _is_related(thickness):
         why = "the coatings do not tell the sides apart"
@@ -362,7 +366,11 @@ def _face_relation(texture: Textures, name: str, rival_name: str) -> Relation:
 
 
 def _mean_relation(texture: Textures, pairs: Iterable[tuple[str, str]]) -> Relation | None:
-    """Mean relation of maps of the first sheet and maps of the second; None where none is known."""
+    """Mean relation of maps of the first sheet and maps of the second; None where none is known.
+
+    ``pairs`` name them; in the texture those of the second sheet are ``other NAME``. Deviations of
+    several pairs are taken for independent.
+    """
     measured = [(name, f"other {other}") for name, other in pairs]
     measured = [pair for pair in measured if texture.maps.keys() >= {*pair}]
     if not measured:
@@ -419,8 +427,7 @@ def texture_of(
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
     judged = _judged_layers(texture, a, b, names, side, is_given=is_given)
     check = judged.check
-    images = [layer["image"] for layer in (a, b) if "image" in layer]
-    if any("reach_um" in image.attrs for image in images):
+    if _lost_its_screen(a) or _lost_its_screen(b):
         return _without_screen(check)
     expected_um = _expected_um(a, b, valid)
     texture = judged.texture
@@ -508,7 +515,9 @@ def _shown_of(
 ) -> tuple[Textures, list[str], str, Texts]:
     """The maps that an image of a face follows, the image, and the slopes that side light shows.
 
-    It follows the coating, or thickness and height; the slopes are added to the texture.
+    As the fields of :class:`_Judged` but for the check. The image follows the coating, or thickness
+    and height where the face has no coating or light goes through the sheet; the slopes of the
+    height along x and y are added to the texture. No slopes where the sheet has no map of heights.
     """
     heights = height_map(face, texture.maps)
     coating = f"coating_{face}"
@@ -520,6 +529,11 @@ def _shown_of(
         source_maps.append(heights)
     slopes = (f"{heights}_x", f"{heights}_y")
     return texture.with_slopes(heights), source_maps, "image", slopes
+
+
+def _lost_its_screen(layer: xr.Dataset) -> bool:
+    """Whether a layer is an image whose print screen was taken off."""
+    return "image" in layer and "reach_um" in layer["image"].attrs
 
 
 def _without_screen(check: Check) -> TextureFound:
@@ -596,7 +610,8 @@ def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Ch
 def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     """Judge how far apart holes and texture, each fitted by itself, put the middle of a map.
 
-    Both errors are rms.
+    ``apart_um`` is the distance between both places, ``expected_um`` the error of it, rms, by the
+    errors of both. 95 % of such distances stay below the limit.
     """
     limit_um = lag.ALLOWED * expected_um
     text = f"Holes and texture, each by itself, put the middle of the map {apart_um:.1f} um apart"
@@ -623,7 +638,11 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:
-    """Sides with a coating measured in most of a sheet and thicker than 3 standard errors."""
+    """Sides with a coating measured in most of a sheet and thicker than 3 standard errors.
+
+    By medians at some pixels; most is half of those that count. A coating whose error is not stated
+    only has to be above 0.
+    """
     sides: list[Side] = []
     for side in SIDES:
         names = (f"coating_{side}", f"coating_{side}_se")

@@ -197,7 +197,10 @@ def row_difference(values: Floats) -> Floats:
 
 
 def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
-    """How much of a map two halves of its measurement show alike, or why that cannot be said."""
+    """How much of a map two halves of its measurement show alike, or why that cannot be said.
+
+    At the larger points of the pair, whose grid begins at the outer corner of the first pixel.
+    """
     columns = pair.columns[layer]
     point_um = pair.point_um
     half_pixels_um = np.divide(pair.grid.pixel_um[::-1], 2)

@@ -100,7 +100,8 @@ def region_difference(values: Array, inside: Bools, *, pixel_um: Pixel) -> Regio
 def answer_thin(pair: ComparedMaps) -> Entries:
     """Compare the image inside and outside of thin regions of the coating.
 
-    This is done for the limits that some pixels are below.
+    This is done for each limit of ``THIN_UM`` with enough pixels below and above it; a pixel
+    without a coating thickness is in neither. Nothing where the pair is no coating on an image.
     """
     if not (pair.a[1].startswith("coating_") and "image" in pair.layers[1]):
         return {}

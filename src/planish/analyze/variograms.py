@@ -14,7 +14,7 @@ from planish.analyze.correlation import check_varying, valid_pixels
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import NULL, DescribedModel, Value
 from planish.core.grid import shorter_side_um
-from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel
+from planish.core.typing import Array, Bools, Entries, Floats, Pair, Pixel, TwoFields
 from planish.texture.covariance import Lags
 
 _LEAST_RINGS = 4  # for a model of three numbers
@@ -143,7 +143,7 @@ def _is_near_axis(angle_deg: Floats) -> Bools:
     return np.abs((angle_deg + 90) % 180 - 90) <= 22.5 + 1e-9
 
 
-def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats]:
+def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> TwoFields:
     """Mean distance and covariance of rings one pixel wide, up to half of the shorter side.
 
     ``products`` are the sums over all pairs at a lag, ``is_used`` the lags that count, both in the
@@ -212,7 +212,8 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
 def answer_variograms(pair: ComparedMaps) -> Entries:
     """Variograms of both maps on their one mask.
 
-    Nothing of a map that the field is too small for.
+    Nothing of a map that the field is too small for. Of the rings up to 60 are kept, closer to each
+    other at short distances.
     """
     curves: list[Variogram] = []
     maps = zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True)
@@ -221,7 +222,6 @@ def answer_variograms(pair: ComparedMaps) -> Entries:
             curve = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
-        # At up to 60 distances, closer for short ones.
         rings = np.geomspace(1, len(curve.values), 60).round().astype(np.intp)
         thinned = itemgetter(*(np.unique(rings) - 1))
         distances_um = thinned(curve.distances_um)

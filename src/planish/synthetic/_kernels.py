@@ -20,8 +20,13 @@ _CLOSE_UM = 1e-3  # the step after it is smaller by the curvature times the dist
 
 @njit(cache=True, nogil=True)
 def _hermite(curve, i, k, f, h):
-    """Cubic Hermite between exact values and exact tangents: error below 1e-8 um at 2 um steps."""
-    a, b = curve[i], curve[i + 1]
+    """Cubic Hermite between exact values and exact tangents: error below 1e-8 um at 2 um steps.
+
+    Column ``k`` of the curve, whose tangents are column ``k + 2``, a share ``f`` of a step ``h``
+    beyond row ``i``.
+    """
+    a = curve[i]
+    b = curve[i + 1]
     h00 = (1 + 2 * f) * (1 - f) * (1 - f)
     h10 = f * (1 - f) * (1 - f)
     h01 = f * f * (3 - 2 * f)
@@ -40,8 +45,13 @@ def _normal(ux, uy, uz, vx, vy, vz):
 
 @njit(cache=True, nogil=True)
 def frame_at(w, curve, u, v):
-    """Return m (3), m_u (3), m_v (3) of the centre surface at (u, v), as nine scalars."""
-    ca, sa = w[0], w[1]
+    """Return m (3), m_u (3), m_v (3) of the centre surface at (u, v), as nine scalars.
+
+    Along the profile lies p, along the rulings q; (X, Z) of the profile at p is turned by the angle
+    a about z, and the bump is added to z. The tangents are exact.
+    """
+    ca = w[0]
+    sa = w[1]
     p = u * ca + v * sa
     q = -u * sa + v * ca
     h = w[6]
@@ -51,11 +61,17 @@ def frame_at(w, curve, u, v):
     big_x = _hermite(curve, i, 0, t - i, h)
     big_z = _hermite(curve, i, 1, t - i, h)
     psi = w[14] + w[2] * sin(w[3] * p + w[4])
-    psi += 0.5 * w[15] * (1.0 + tanh((p - w[16]) / (2.0 * w[17]))) if w[15] != 0.0 else 0.0
+    if w[15] != 0.0:
+        past_curl = (p - w[16]) / (2.0 * w[17])
+        psi += 0.5 * w[15] * (1.0 + tanh(past_curl))
     c = cos(psi)
     s = sin(psi)
-    du, dv = u - w[11], v - w[12]
-    bump = w[10] * exp(-(du * du + dv * dv) / (2 * w[13] * w[13])) if w[10] != 0.0 else 0.0
+    du = u - w[11]
+    dv = v - w[12]
+    bump = 0.0
+    if w[10] != 0.0:
+        exponent = -(du * du + dv * dv) / (2 * w[13] * w[13])
+        bump = w[10] * exp(exponent)
     bu = -bump * du / (w[13] * w[13])
     bv = -bump * dv / (w[13] * w[13])
     return (
@@ -73,11 +89,17 @@ def frame_at(w, curve, u, v):
 
 @njit(cache=True, nogil=True)
 def invert(w, curve, x, y, z, u, v):
-    """Return (u, v, s) with m(u, v) + s n(u, v) = (x, y, z), from the guess (u, v)."""
+    """Return (u, v, s) with m(u, v) + s n(u, v) = (x, y, z), from the guess (u, v).
+
+    By Gauss and Newton's steps in the tangent plane: what is left of the point there is brought to
+    0, and its distance along the normal n is s.
+    """
     s = 0.0
     for _ in range(_MAX_STEPS):
         mx, my, mz, ux, uy, uz, vx, vy, vz = frame_at(w, curve, u, v)
-        dx, dy, dz = x - mx, y - my, z - mz
+        dx = x - mx
+        dy = y - my
+        dz = z - mz
         g11 = ux * ux + uy * uy + uz * uz
         g12 = ux * vx + uy * vy + uz * vz
         g22 = vx * vx + vy * vy + vz * vz
@@ -120,16 +142,21 @@ def materials(w, curve, points):
 
 @njit(cache=True, nogil=True)
 def columns(w, curve, ys, xs):
-    """Ground truth (rows, cols, 3) as (u, v, z) below each column at (ys[i], xs[j])."""
+    """Ground truth (rows, cols, 3) as (u, v, z) below each column at (ys[i], xs[j]).
+
+    The point of the centre surface with these x and y, by Newton's steps, and its height z.
+    """
     out = np.empty((ys.size, xs.size, 3))
     for i in range(ys.size):
         for j in range(xs.size):
             # The guess does not come from a neighbour: a column gives the same bytes whatever tile
             # it lies in.
-            u, v = xs[j] - w[7], ys[i] - w[8]
+            u = xs[j] - w[7]
+            v = ys[i] - w[8]
             for _ in range(_MAX_STEPS):
                 mx, my, _mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
-                dx, dy = xs[j] - mx, ys[i] - my
+                dx = xs[j] - mx
+                dy = ys[i] - my
                 det = ux * vy - uy * vx
                 du = (vy * dx - vx * dy) / det
                 dv = (ux * dy - uy * dx) / det
@@ -186,11 +213,14 @@ def paint(
     has_cells = structure.shape[2] > 0
     structure_high = structure_low + cell * structure.shape[2] if has_cells else -1e9
     depth_voxels = slab.shape[2]
-    last_row, last_col = fields.shape[0] - 1.000001, fields.shape[1] - 1.000001
+    last_row = fields.shape[0] - 1.000001
+    last_col = fields.shape[1] - 1.000001
     layers = fields.shape[2] - _SINGLE
     at = np.empty(_SINGLE)
     for i in range(ys.size):
-        shift_x, shift_z, turn = moved[0, i], moved[1, i], moved[2, i]
+        shift_x = moved[0, i]
+        shift_z = moved[1, i]
+        turn = moved[2, i]
         for j in range(xs.size):
             lift = shift_z + turn * (xs[j] - middle[0])
             u, v, z_below = under[i, j]
@@ -222,7 +252,8 @@ def paint(
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
-                inner_top, inner_low = at[1], at[2]
+                inner_top = at[1]
+                inner_low = at[2]
                 through = min(max((top - s) / max(top - low, 1e-6), 0.0), 1.0)
                 rim = at[4] * (1 - through) + at[5] * through
                 solid = _ramp(rim / step)
@@ -239,11 +270,14 @@ def paint(
                     if coat_share < 1.0:
                         height = (s - structure_low) / cell
                         half = 0.5 * step / cell
-                        low_cell, high_cell = height - half, height + half
+                        low_cell = height - half
+                        high_cell = height + half
                         density = _cells_between(structure, r, c, fy, fx, low_cell, high_cell)
                         fibre = (1.0 - coat_share) * density
                     value = fibre * grey[0] + coat + in_crack * grey[2]
-                    slab[i, j, k] = value * (1.0 if s < film else solid)
+                    if s >= film:  # a film has no holes
+                        value *= solid
+                    slab[i, j, k] = value
                     continue
                 relative_depth = (s - inner_low) / max(inner_top - inner_low, 1e-6)
                 depth = min(max(relative_depth, 0.0), 1.0) * (layers - 1)
@@ -258,6 +292,7 @@ def paint(
 
 @njit(cache=True, nogil=True)
 def _bilinear(fields, r, c, fy, fx, n):
+    """Field n of (rows, cols, fields) at shares fy, fx of a pitch beyond the node (r, c)."""
     top = fields[r, c, n] * (1 - fx) + fields[r, c + 1, n] * fx
     low = fields[r + 1, c, n] * (1 - fx) + fields[r + 1, c + 1, n] * fx
     return top * (1 - fy) + low * fy
@@ -265,6 +300,7 @@ def _bilinear(fields, r, c, fy, fx, n):
 
 @njit(cache=True, nogil=True)
 def _cells_between(cells, r, c, fy, fx, low, high):
+    """Mean density, 1 of wall, between two heights in cells, over the place of ``_bilinear``."""
     first = max(int(floor(low)), 0)
     last = min(int(floor(high)), cells.shape[2] - 1)
     density_sum = 0.0
@@ -276,6 +312,7 @@ def _cells_between(cells, r, c, fy, fx, low, high):
 
 @njit(cache=True, nogil=True)
 def _ramp(t):
+    """Share of a voxel inside of a face that lies ``t`` voxels outwards of its middle."""
     return min(max(t + 0.5, 0.0), 1.0)
 
 
@@ -283,14 +320,18 @@ def _ramp(t):
 def lay_fibres(field, starts, angles, lengths, widths, curls):
     """Add fibres (n) of elliptical cross-section to field (rows, cols).
 
-    All lengths in nodes of the field.
+    All lengths in nodes of the field: ``starts`` (n, 2) are (x, y), ``curls`` rad a node. A fibre
+    is 1 high along its middle and nothing at its edges; the field keeps the highest of all.
     """
     rows, cols = field.shape
     for n in range(starts.shape[0]):
         half = widths[n] / 2
         steps = int(lengths[n] * 2)
-        x, y, a = starts[n, 0], starts[n, 1], angles[n]
-        px, py = -(10**6), -(10**6)
+        x = starts[n, 0]
+        y = starts[n, 1]
+        a = angles[n]
+        px = -(10**6)  # the node before
+        py = -(10**6)
         for _ in range(steps):
             x += 0.5 * cos(a)
             y += 0.5 * sin(a)
@@ -299,7 +340,8 @@ def lay_fibres(field, starts, angles, lengths, widths, curls):
             cy = int(floor(y + 0.5))
             if cx == px and cy == py:
                 continue
-            px, py = cx, cy
+            px = cx
+            py = cy
             r = int(half) + 1
             left = max(cx - r, 0)
             right = min(cx + r + 1, cols)

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.reflectance import layer_over
-from planish.core.typing import Array, Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Shape2D, TwoFields
 from planish.synthetic.params import CameraParams, PaperParams, PrintParams, spawned
 from planish.synthetic.pose import CameraPose
 from planish.synthetic.sheet import PITCH_UM, DrawnSheet, Field, noise
@@ -50,13 +50,18 @@ def coated(
 ) -> Floats:
     """Return the reflectance of the triple coating over what lies below it.
 
-    That is the base unless ``outwards`` is false.
+    That is the base unless ``outwards`` is false: then light meets the layers in the other order,
+    as those of the bottom face over a ``backing``. All three are reflectance, thickness in um and
+    relative density of one shape, or one number.
     """
     mean_density = paper.coating_g_per_cm3 * _KG_PER_M2
-    weight = mean_density * np.asarray(coating_um, float) * np.asarray(density, float)
+    mean_weight = mean_density * np.asarray(coating_um, float)
+    weight = mean_weight * np.asarray(density, float)
     layers = list(zip(COATING_S_M2_PER_KG, COATING_SHARES, strict=True))
+    if not outwards:
+        layers.reverse()
     result = np.asarray(backing, dtype=np.float64)
-    for s, share in layers if outwards else layers[::-1]:
+    for s, share in layers:
         result = layer_over(result, s, COATING_K_M2_PER_KG, share * weight)
     return result
 
@@ -115,7 +120,7 @@ def photograph(
     pose: CameraPose,
     camera: CameraParams,
     *,
-    shape: tuple[int, int],
+    shape: Shape2D,
     seed: np.random.SeedSequence,
     printed: bool = False,
 ) -> Field:
@@ -147,8 +152,13 @@ def photograph(
     gain = camera.nuisance_sd
     if camera.oracle_r2 is not None:
         truth_maps = (coating, image, _sample(sheet, nuisance, u, v))
-        gain = _oracle_gain(truth_maps, rim > _HOLE_CLEARANCE_UM, camera.pixel_um, camera.oracle_r2)
-    screen = (camera.screen or PrintParams()) if printed else None
+        is_clear = rim > _HOLE_CLEARANCE_UM
+        gain = _oracle_gain(truth_maps, is_clear, camera.pixel_um, camera.oracle_r2)
+    screen: PrintParams | None = None
+    rng = for_noise
+    if printed:
+        screen = camera.screen or PrintParams()
+        rng = for_print_noise
     tone = _coarse_noise(sheet, _TONE_UM, for_tone)
     first_cell = (0, 0)
     radius_um = np.empty((0, 0))
@@ -163,16 +173,19 @@ def photograph(
             col = np.floor(a)
             row = np.floor(b)
             distance = screen.pitch_um * np.hypot(a - col - 0.5, b - row - 0.5)
-            i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
-            j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
+            last_row, last_col = np.subtract(radius_um.shape, 1)
+            i = np.clip(row.astype(int) - first_cell[0], 0, last_row)
+            j = np.clip(col.astype(int) - first_cell[1], 0, last_col)
             ink_share = _covered(radius_um[i, j] - distance, camera)
             # Murray and Davies.
             reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share
         burnt = 1 - sheet.at(sheet.char, *uv)
-        image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * burnt)
+        darkening = 2 * (1 - _CHAR_RIM) * burnt  # char is 0.5 at a rim
+        image[rows] = reflectance * (1 - darkening)
     paper_share = _covered(rim, camera)
-    image = np.asarray(hole + (image - hole) * paper_share, dtype=np.float32)
-    return _expose(image, top, paper_share, camera, for_print_noise if printed else for_noise)
+    paper_and_holes = hole + (image - hole) * paper_share
+    image = np.asarray(paper_and_holes, dtype=np.float32)
+    return _expose(image, top, paper_share, camera, rng)
 
 
 def _covered(inside_um: Array, camera: CameraParams) -> Array:
@@ -183,19 +196,21 @@ def _covered(inside_um: Array, camera: CameraParams) -> Array:
 def _bare_sheet(
     sheet: DrawnSheet, camera: CameraParams, u: Floats, v: Floats, rng: np.random.Generator
 ) -> tuple[Field, Field, Field, Field, Field]:
-    """Top face, top coating and distance to a rim in um at each pixel.
+    """What the sheet shows at the material coordinates of each pixel, (rows, cols) each.
 
-    Reflectances of a hole and of the sheet.
+    Height of the top face, thickness of the top coating, and distance to the nearest hole's rim at
+    that face (negative inside), in um; then the reflectance where a hole is seen, and that of the
+    sheet. In a hole the wall and a closed lower end are burnt, where the rim at the bottom face
+    lies inside that at the top.
     """
     scattering_field = _BASE_S_SD_M2_PER_KG * _coarse_noise(sheet, _PAPER_UM, rng)
-    top_um, coating_um, rim_um, hole_reflectance, reflectance = (
-        np.empty(u.shape, dtype=np.float32) for _ in range(5)
-    )
+    fields = (np.empty(u.shape, dtype=np.float32) for _ in range(5))
+    top_um, coating_um, rim_um, hole_reflectance, reflectance = fields
     for rows in _row_blocks(u.shape[0]):
         uv = (u[rows], v[rows])
-        faces = [sheet.at(face, *uv) for face in sheet.faces]
-        top_um[rows] = faces[0]
-        coating_um[rows] = np.maximum(faces[0] - faces[1], 0)
+        top, inner_top, inner_bottom, bottom = (sheet.at(face, *uv) for face in sheet.faces)
+        top_um[rows] = top
+        coating_um[rows] = np.maximum(top - inner_top, 0)
         rim_um[rows] = sheet.at(sheet.rim_um[0], *uv)
         lower_share = _covered(sheet.at(sheet.rim_um[1], *uv), camera)
         hole_reflectance[rows] = _HOLE + (_CHAR_GREY - _HOLE) * lower_share
@@ -204,7 +219,7 @@ def _bare_sheet(
             sheet.params,
             camera.backing,
             coating_top_um=coating_um[rows],
-            coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
+            coating_bottom_um=np.maximum(inner_bottom - bottom, 0),
             coating_density=sheet.at(sheet.coating_density, *uv),
             base_mass=sheet.at(sheet.base_mass, *uv),
             base_s_m2_per_kg=np.maximum(scattering, 0),
@@ -217,7 +232,9 @@ def _expose(
 ) -> Field:
     """Shade the sheet by its topography, holes apart.
 
-    Add blur, vignetting and noise; round to the bits.
+    Add blur, vignetting and noise; round to the bits. All are (rows, cols): reflectance, height of
+    the top face in um, and share of each pixel that is no hole. ``camera.shading`` is per 0.1 of
+    slope.
     """
     shape = (image.shape[0], image.shape[1])
     if camera.shading > 0:
@@ -225,15 +242,17 @@ def _expose(
         slope = np.asarray(np.gradient(top_um, camera.pixel_um, axis=1))
         image *= 1 + camera.shading / 0.1 * slope * paper_share
     if camera.lens_um > 0:
-        image = ndimage.gaussian_filter(image, camera.lens_um / camera.pixel_um, mode="nearest")
+        sigma_px = camera.lens_um / camera.pixel_um
+        image = ndimage.gaussian_filter(image, sigma_px, mode="nearest")
     if camera.vignetting > 0:
         image *= vignette(shape, camera.vignetting)
     image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
-    grey_levels = 2**camera.bits - 1
-    return (np.rint(np.clip(image, 0, 1) * grey_levels) / grey_levels).astype(np.float32)
+    highest_grey = 2**camera.bits - 1
+    grey = np.rint(np.clip(image, 0, 1) * highest_grey)
+    return (grey / highest_grey).astype(np.float32)
 
 
-def vignette(shape: tuple[int, int], loss: float) -> Field:
+def vignette(shape: Shape2D, loss: float) -> Field:
     """Share of the light in an image.
 
     Parameters
@@ -251,9 +270,7 @@ def vignette(shape: tuple[int, int], loss: float) -> Field:
     return 1 - loss * radius_squared.astype(np.float32)
 
 
-def image_material(
-    pose: CameraPose, shape: tuple[int, int], pixel_um: float
-) -> tuple[Floats, Floats]:
+def image_material(pose: CameraPose, shape: Shape2D, pixel_um: float) -> TwoFields:
     """Return the material coordinates shown by each pixel of an image.
 
     Parameters
@@ -270,8 +287,10 @@ def image_material(
     v = np.empty(shape)
     y, x = (np.arange(n) * pixel_um for n in shape)
     for rows in _row_blocks(shape[0]):
-        material_uv = pose.inverse(np.stack(np.meshgrid(x, y[rows]), axis=-1))
-        u[rows], v[rows] = material_uv[..., 0], material_uv[..., 1]
+        image_xy = np.stack(np.meshgrid(x, y[rows]), axis=-1)
+        material_uv = pose.inverse(image_xy)
+        u[rows] = material_uv[..., 0]
+        v[rows] = material_uv[..., 1]
     return u, v
 
 
@@ -280,13 +299,16 @@ def _oracle_gain(
 ) -> float:
     """Return the size of the nuisance that brings r2 of thickness and reflectance to ``target``.
 
-    The nuisance is the third map; thickness and reflectance are both true.
+    ``maps`` (rows, cols) are the true thickness of the top coating, the true reflectance, and the
+    nuisance of unit standard deviation; ``is_clear`` are pixels away from holes. ValueError where
+    no size does.
 
     Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and
     with itself are polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
     """
     cell_px = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
-    means = [area_mean(np.where(is_clear, m, np.nan), cell_px, least_share=1.0) for m in maps]
+    clear_maps = [np.where(is_clear, m, np.nan) for m in maps]
+    means = [area_mean(m, cell_px, least_share=1.0) for m in clear_maps]
     is_finite = np.isfinite(means[0])
     n_points = int(is_finite.sum())
     if n_points < _FEWEST:
@@ -295,8 +317,11 @@ def _oracle_gain(
             f" image has {n_points}; take a larger image or fewer holes, or set nuisance_sd"
             " instead."
         )
-    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[is_finite] for m in means])
-    clean_r2 = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
+    points = [m[is_finite] for m in means]
+    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov(points)
+    clean_r2 = 0.0
+    if tt > 0 and tr > 0:
+        clean_r2 = float(tr * tr / (tt * rr))
     if not 0 < target <= clean_r2:
         raise ValueError(
             f"oracle_r2 = {target:g} is out of reach: without any nuisance, r2 of coating thickness"
@@ -319,39 +344,42 @@ def _oracle_gain(
     return float(gains.min())
 
 
-def _dot_radii(
-    sheet: DrawnSheet, screen: PrintParams, tone: Floats
-) -> tuple[tuple[int, int], Floats]:
-    """Return the radii of the dots of the whole sheet, and the (row, col) of the first.
+def _dot_radii(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[Shape2D, Floats]:
+    """Return the (row, col) of the sheet's first dot, and the radii of all, (rows, cols) in um.
 
-    There is one dot to each cell of the turned screen.
+    There is one dot to each cell of the turned screen. Its area is the tone: less where the coating
+    is thicker than the mean, with a random part (``tone``, the coarse field of unit standard
+    deviation), both averaged over 7 x 7 samples of the cell.
     """
     rows, cols = sheet.char.shape
-    u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
-    v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
+    end_u, end_v = PITCH_UM * np.array([cols - 1, rows - 1])
+    u = sheet.origin[0] + np.array([0, end_u, 0, end_u])
+    v = sheet.origin[1] + np.array([0, 0, end_v, end_v])
     cells = np.floor(_screen_coordinates(u, v, screen)).astype(int)
     first_col, first_row = cells.min(axis=1).tolist()
     n_cols, n_rows = (np.ptp(cells, axis=1) + 1).tolist()
     sample_offsets = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
-    col_samples = (np.arange(n_cols)[:, None] + first_col + sample_offsets).ravel()
-    row_samples = (np.arange(n_rows)[:, None] + first_row + sample_offsets).ravel()
-    a, b = np.meshgrid(col_samples, row_samples)
+    col_samples = np.arange(n_cols)[:, None] + first_col + sample_offsets
+    row_samples = np.arange(n_rows)[:, None] + first_row + sample_offsets
+    a, b = np.meshgrid(col_samples.ravel(), row_samples.ravel())
     pitch = screen.pitch_um
     angle = np.deg2rad(screen.angle_deg)
     u = pitch * (a * np.cos(angle) - b * np.sin(angle))
     v = pitch * (a * np.sin(angle) + b * np.cos(angle))
     top_um, inner_um = (sheet.at(face, u, v) for face in sheet.faces[:2])
     coating = np.maximum(top_um - inner_um, 0)
-    mean_coating_um = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
+    coating_um = sheet.faces[0] - sheet.faces[1]
+    mean_coating_um = float(np.mean(coating_um, dtype=np.float64))
     coating_gain = screen.gain_per_um * (coating - mean_coating_um)
     tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - coating_gain
     samples = tone_change.reshape(n_rows, _CELL_SAMPLES, n_cols, _CELL_SAMPLES)
     # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
-    dot_area = np.clip(screen.tone + samples.mean(axis=(1, 3)), 0.0, 0.25 * np.pi)
+    tone_of_cell = screen.tone + samples.mean(axis=(1, 3))
+    dot_area = np.clip(tone_of_cell, 0.0, 0.25 * np.pi)
     return (first_row, first_col), pitch * np.sqrt(dot_area / np.pi)
 
 
-def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
+def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> TwoFields:
     angle = np.deg2rad(screen.angle_deg)
     cos = np.cos(angle) / screen.pitch_um
     sin = np.sin(angle) / screen.pitch_um
@@ -369,11 +397,14 @@ def _coarse_noise(sheet: DrawnSheet, correlation_um: float, rng: np.random.Gener
 
 
 def _sample(sheet: DrawnSheet, coarse_field: Floats, u: Floats, v: Floats) -> Floats:
+    """Values of a field of :func:`_coarse_noise` at material coordinates, in um."""
     pitch_um = PITCH_UM * _COARSE_STEP
     row = (v - sheet.origin[1]) / pitch_um
     col = (u - sheet.origin[0]) / pitch_um
-    return ndimage.map_coordinates(coarse_field, np.stack([row, col]), order=1, mode="nearest")
+    places = np.stack([row, col])
+    return ndimage.map_coordinates(coarse_field, places, order=1, mode="nearest")
 
 
 def _row_blocks(rows: int) -> list[slice]:
-    return [slice(start, min(start + _BLOCK, rows)) for start in range(0, rows, _BLOCK)]
+    starts = range(0, rows, _BLOCK)
+    return [slice(start, min(start + _BLOCK, rows)) for start in starts]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import at_index
-from planish.core.typing import Floats, Singles
+from planish.core.typing import Floats, Shape2D, Singles, TwoFields
 from planish.synthetic.params import FilmParams, PaperParams, generator
 
 WALL_G_PER_CM3 = 1.5
@@ -57,7 +57,12 @@ class Structure:
         return self.low_um + self.cell_um * self.density.shape[2]
 
     def on_film(self, bottom: Floats, film: FilmParams) -> Structure:
-        """Put a film below a sheet with the face ``bottom`` (rows, cols)."""
+        """Put a film below a sheet with the face ``bottom`` (rows, cols), in um.
+
+        A film lies flat at its gap below the lowest point of the face. A tape touches: its upper
+        side lies where 1 % of the face is lower, and its adhesive fills the valleys of the face up
+        to 30 um above that. Cells hold the film's grey times the share of them that it fills.
+        """
         if film.is_tape:
             film_top_um = float(np.percentile(bottom, 1.0))
             upper_um = np.minimum(bottom, film_top_um + 30.0)
@@ -65,18 +70,21 @@ class Structure:
             film_top_um = float(bottom.min()) - film.gap_um
             upper_um = np.full(bottom.shape, film_top_um)
         film_low_um = film_top_um - film.film_um
-        low_um = float(np.floor(min(self.low_um, film_low_um - 2 * self.cell_um)))
+        deepest_um = min(self.low_um, film_low_um - 2 * self.cell_um)
+        low_um = float(np.floor(deepest_um))
         n_cells_below = int(np.ceil((self.low_um - low_um) / self.cell_um))
-        density = np.pad(self.density, ((0, 0), (0, 0), (n_cells_below, 0)))
+        widths = ((0, 0), (0, 0), (n_cells_below, 0))
+        density = np.pad(self.density, widths)
         cells = np.arange(density.shape[2] + 1) - n_cells_below
         cell_borders = self.low_um + self.cell_um * cells
         cols = slice(0, round(film.share * bottom.shape[1]))
         for k, (start_um, stop_um) in enumerate(pairwise(cell_borders)):
-            filled_um = np.minimum(stop_um, upper_um[:, cols]) - max(start_um, film_low_um)
+            highest_um = np.minimum(stop_um, upper_um[:, cols])
+            filled_um = highest_um - max(start_um, film_low_um)
             share = np.clip(filled_um, 0.0, None) / self.cell_um
-            film_density = np.rint(np.minimum(100 * film.grey * share, 255)).astype(np.uint8)
+            film_density = np.rint(np.minimum(100 * film.grey * share, 255))
             film_cells = density[:, cols, k]
-            np.maximum(film_cells, film_density, out=film_cells)
+            np.maximum(film_cells, film_density.astype(np.uint8), out=film_cells)
         return Structure(
             density=density,
             low_um=float(cell_borders[0]),
@@ -99,18 +107,23 @@ class Structure:
         for start in range(0, rows, _FACE_ROWS):
             halo_start = max(start - halo_rows, 0)
             stop = min(start + _FACE_ROWS, rows)
-            wall_share = self.density[halo_start : stop + halo_rows].astype(np.float32) / 100.0
+            with_halo = self.density[halo_start : stop + halo_rows]
+            wall_share = with_halo.astype(np.float32) / 100.0
             blurred = ndimage.gaussian_filter(np.minimum(wall_share, 1.0), sigmas)
             blurred = blurred[start - halo_start :][: stop - start]
-            blurred = blurred[..., ::-1] if top else blurred
+            if top:  # cells count from the outside
+                blurred = blurred[..., ::-1]
             outer_blurred = np.zeros_like(blurred)
             outer_blurred[..., 1:] = blurred[..., :-1]
             is_face = (blurred >= 0.5) & (outer_blurred < 0.5)
             k = is_face.argmax(axis=2)
             inner = at_index(blurred, k)
             outer = at_index(outer_blurred, k)
-            crossing = k - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
-            height = (n_cells - crossing if top else crossing) * self.cell_um + self.low_um
+            part_of_cell = (inner - 0.5) / np.maximum(inner - outer, 1e-6)
+            crossing = k - part_of_cell + 0.5
+            if top:
+                crossing = n_cells - crossing
+            height = crossing * self.cell_um + self.low_um
             face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)
         return face
 
@@ -122,27 +135,39 @@ class FibreMat:
     """
 
     def __init__(
-        self, paper: PaperParams, shape: tuple[int, int], pitch_um: float, ground: Floats, seed: int
+        self, paper: PaperParams, shape: Shape2D, pitch_um: float, ground: Floats, seed: int
     ) -> None:
-        """Lay the fibres; ``ground`` is the height of the middle, on which both halves begin."""
+        """Lay the fibres; ``ground`` is the height of the middle, on which both halves begin.
+
+        It is in um at the nodes (rows, cols) of the sheet's grid, ``pitch_um`` apart.
+        """
         fibres = paper.fibres
         assert fibres is not None
-        self._paper, self._fibres, self._pitch, self._seed = paper, fibres, pitch_um, seed
+        self._paper = paper
+        self._fibres = fibres
+        self._pitch = pitch_um
+        self._seed = seed
         self._grounds = (ground, -ground)
         self._shares: list[NDArray[np.uint8]] = []
         self.heights: list[Floats] = []
         for side, half_ground in zip(("upper", "lower"), self._grounds, strict=True):
-            shares, heights = self._lay(shape, half_ground, generator(seed, "fibre mat", side))
+            rng = generator(seed, "fibre mat", side)
+            shares, heights = self._lay(shape, half_ground, rng)
             self._shares.append(shares)
             self.heights.append(heights)
 
     def _lay(
-        self, shape: tuple[int, int], ground: Floats, rng: np.random.Generator
+        self, shape: Shape2D, ground: Floats, rng: np.random.Generator
     ) -> tuple[NDArray[np.uint8], Floats]:
-        """Lay the fibres of one half: their shares of the cells, and the heights they reach."""
+        """Lay the fibres of one half: their shares of the cells, and the heights they reach.
+
+        Shares (rows, cols, cells) are of wall, in hundredths, in cells of ``cell_um`` above
+        ``ground``; heights (rows, cols) are those of the highest fibre, in um.
+        """
         from planish.synthetic import _fibre_kernels
 
-        p, pitch = self._fibres, self._pitch
+        p = self._fibres
+        pitch = self._pitch
         solid_um = 0.5 * p.g_per_m2 / WALL_G_PER_CM3
         lengths, widths, walls, lumens = self._drawn(shape, solid_um, rng)
         n_fibres = lengths.size
@@ -157,7 +182,8 @@ class FibreMat:
         starts = middles - 0.5 * length * directions[:, None]
         flexibility = rng.uniform(*p.flexibility, n_fibres) * pitch
         hollow_share = 0.5 * sum(p.lumen_um) / sum(p.wall_um)
-        n_cells = int((_DEEPEST[0] + _DEEPEST[1] * hollow_share) * solid_um / p.cell_um) + 8
+        depth = _DEEPEST[0] + _DEEPEST[1] * hollow_share
+        n_cells = int(depth * solid_um / p.cell_um) + 8
         shares = np.zeros((*shape, n_cells), dtype=np.uint8)
         top = ground.copy()
         ribbons = (starts, angles - 0.5 * curls * lengths, lengths, widths, curls)
@@ -168,10 +194,16 @@ class FibreMat:
         return shares, np.minimum(top, ground + n_cells * p.cell_um)
 
     def _drawn(
-        self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator
+        self, shape: Shape2D, solid_um: float, rng: np.random.Generator
     ) -> tuple[Floats, ...]:
-        """Draw lengths, widths, walls and lumens of more fibres than are laid."""
-        p, pitch = self._fibres, self._pitch
+        """Draw lengths, widths, walls and lumens (n,), in um, of more fibres than are laid.
+
+        ``solid_um`` is the height of their walls over the whole field. Lengths and widths of fines
+        are below those of fibres. 0.86 is the share of a flat ribbon that one with rounded edges
+        has, as ``lay_ribbons`` lays it.
+        """
+        p = self._fibres
+        pitch = self._pitch
         area = float(shape[0] * shape[1]) * pitch**2
         volume_um3 = 0.0
         batches = list[tuple[Floats, ...]]()
@@ -188,12 +220,14 @@ class FibreMat:
             widths = np.where(is_fine, fine_widths, coarse_widths)
             walls = rng.uniform(*p.wall_um, 512)
             lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
-            share_in_field = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
+            height, width = (n * pitch + lengths for n in shape)
+            share_in_field = area / (height * width)
             batches.append((lengths, widths, walls, lumens))
-            volume_um3 += float(np.sum(lengths * widths * 2 * walls * 0.86 * share_in_field))
+            volumes = lengths * widths * 2 * walls * 0.86
+            volume_um3 += float(np.sum(volumes * share_in_field))
         return tuple(np.concatenate(samples) for samples in zip(*batches, strict=True))
 
-    def calendered(self) -> tuple[Floats, Floats]:
+    def calendered(self) -> TwoFields:
         """Heights of both faces, outwards, with the mean thickness and roughness of the paper.
 
         The voids give way evenly until the thickness is right; then a nip brings the heights closer
@@ -203,7 +237,8 @@ class FibreMat:
         solids: list[Floats] = []
         voids: list[Floats] = []
         for shares, height, ground in zip(self._shares, self.heights, self._grounds, strict=True):
-            solid = shares.sum(axis=2, dtype=np.float64) * self._fibres.cell_um / 100
+            hundredths = shares.sum(axis=2, dtype=np.float64)
+            solid = hundredths * self._fibres.cell_um / 100
             solids.append(np.minimum(solid, height - ground))
             voids.append(height - ground - solids[-1])
 
@@ -211,35 +246,49 @@ class FibreMat:
             return float(sum(half.mean() for half in halves))
 
         def faces(flattening: float) -> list[Floats]:
-            """Faces whose distances from their mean are multiplied by ``flattening``."""
+            """Faces whose distances from their mean are multiplied by ``flattening``.
+
+            The share of the voids that stays open makes the mean thickness right; a wall gives way
+            by a tenth at most. What the clipping changes of the thickness is spread over both.
+            """
             open_share = (p.base_um - mean_um(solids)) / mean_um(voids)
             pressed_halves: list[Floats] = []
             for ground, solid, void in zip(self._grounds, solids, voids, strict=True):
-                height = ground + solid + max(open_share, 0.0) * void
-                height = height.mean() + flattening * (height - height.mean())
-                pressed_halves.append(np.clip(height, ground + 0.9 * solid, ground + solid + void))
+                dense = ground + solid  # without any void
+                height = dense + max(open_share, 0.0) * void
+                mean = height.mean()
+                height = mean + flattening * (height - mean)
+                pressed_halves.append(np.clip(height, ground + 0.9 * solid, dense + void))
             excess_um = p.base_um - mean_um(pressed_halves)
             return [face + 0.5 * excess_um for face in pressed_halves]
 
-        low, high = 0.0, 1.0
+        low = 0.0
+        high = 1.0
         for _ in range(20):
             flattening = 0.5 * (low + high)
-            sq = float(np.sqrt(np.mean([face.var() for face in faces(flattening)])))
-            low, high = (flattening, high) if sq < p.roughness_um else (low, flattening)
+            variances = [face.var() for face in faces(flattening)]
+            if float(np.sqrt(np.mean(variances))) < p.roughness_um:
+                low = flattening
+            else:
+                high = flattening
         upper, lower = faces(0.5 * (low + high))
         return upper, lower
 
     def pressed(self, top: Floats, bottom: Floats, neutral_um: float) -> Structure:
         """Press the upper half to ``top``, the lower to ``bottom``, strew filler.
 
-        Heights count from ``neutral_um``.
+        Both faces (rows, cols) are in um from the middle of the sheet, up; heights of the structure
+        count from ``neutral_um``. Grains of filler lie between the faces, and loose fibres stand up
+        from them where the paper has any.
         """
         from planish.synthetic import _fibre_kernels
 
-        p, paper = self._fibres, self._paper
+        p = self._fibres
+        paper = self._paper
         margin_um = (p.fuzz_um[1] if p.fuzz_per_mm2 else 0.0) + 3 * p.cell_um
         low_um = float(np.floor(bottom.min() - margin_um))
-        n_cells = int(np.ceil((top.max() + margin_um - low_um) / p.cell_um))
+        depth_um = top.max() + margin_um - low_um
+        n_cells = int(np.ceil(depth_um / p.cell_um))
         density = np.zeros((*top.shape, n_cells), dtype=np.uint8)
         outward_faces = ((1.0, top), (-1.0, -bottom))
         halves = zip(self._shares, self.heights, self._grounds, strict=True)
@@ -254,11 +303,13 @@ class FibreMat:
                 height = low_um + (k + 0.5) * p.cell_um
                 is_grain = rng.random(top.shape, dtype=np.float32) < grain_probability
                 is_grain &= (height < top) & (height > bottom)
-                density[..., k] += (_GRAIN / p.cell_um * is_grain).astype(np.uint8)
+                added = _GRAIN / p.cell_um * is_grain
+                density[..., k] += added.astype(np.uint8)
         if p.fuzz_per_mm2:
             for sign, face in outward_faces:
                 rng = generator(self._seed, "fuzz", str(sign))
-                n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
+                area_mm2 = top.size * self._pitch**2 * 1e-6
+                n = max(int(p.fuzz_per_mm2 * area_mm2), 1)
                 lengths = rng.uniform(100.0, 350.0, n) / self._pitch
                 starts = rng.uniform(0, 1, (n, 2)) * top.shape[::-1]
                 angles = rng.uniform(0, 2 * np.pi, n)

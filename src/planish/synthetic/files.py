@@ -39,16 +39,20 @@ def write_instruments(
     InstrumentFiles
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
-    files = write(specimen, folder)
-    return replace(files, image=write_image(specimen, folder / "image.tif")) if image else files
+    writers = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}
+    files = writers[volume](specimen, folder)
+    if not image:
+        return files
+    return replace(files, image=write_image(specimen, folder / "image.tif"))
 
 
 def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
-    voxel, path = specimen.params.scanner.voxel_um, folder / "volume.tif"
+    voxel = specimen.params.scanner.voxel_um
+    path = folder / "volume.tif"
     size = (1 / voxel, 1 / voxel)
     metadata = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, specimen.volume.values, imagej=True, resolution=size, metadata=metadata)
+    values = specimen.volume.values
+    tifffile.imwrite(path, values, imagej=True, resolution=size, metadata=metadata)
 
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return points
@@ -57,8 +61,13 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
 
 
 def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
-    """Write slices across the axis of rotation, with a log as of NRecon."""
-    scanner, voxel = specimen.scanner, specimen.params.scanner.voxel_um
+    """Write slices across the axis of rotation, with a log as of NRecon.
+
+    A slice has x along its columns and z along its rows; points of the file are (column, row,
+    slice) in um, and slices count against y.
+    """
+    scanner = specimen.scanner
+    voxel = specimen.params.scanner.voxel_um
     scan_folder = folder / "scan"
     scan_folder.mkdir()
     rows = scanner.shape[1]
@@ -72,7 +81,8 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     last_um = (rows - 1) * voxel
 
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
-        return np.stack([points[:, 0], last_um - points[:, 2], points[:, 1]], axis=1)
+        x, z, slice_um = points.T
+        return np.stack([x, last_um - slice_um, z], axis=1)
 
     return InstrumentFiles(volume=scan_folder, through="y", to_physical=to_physical)
 
@@ -109,13 +119,20 @@ def _rec_log(specimen: Specimen) -> str:
     }
     lines: list[str] = []
     for name, settings in sections.items():
-        lines += [f"[{name}]", *(f"{key}={value}" for key, value in settings.items())]
+        lines.append(f"[{name}]")
+        lines += [f"{key}={value}" for key, value in settings.items()]
     return "\n".join(lines) + "\n"
 
 
 def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
-    """Write photographs of the block's face, and the counter of the microtome."""
-    p, poses, microtome = specimen.params.sections, specimen.poses, specimen.microtome
+    """Write photographs of the block's face, and the counter of the microtome.
+
+    The counter goes along the cut, from the block's end at large y; points of the file are (column,
+    row, position of the section) in um.
+    """
+    p = specimen.params.sections
+    poses = specimen.poses
+    microtome = specimen.microtome
     photo_folder = folder / "sections"
     photo_folder.mkdir()
     lines = ["# kind: block-face", "file,position_um"]
@@ -127,16 +144,22 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
 
     def to_physical(points: Floats, sections: xr.Dataset | None = None) -> Floats:
-        """Undo what the run took off each section, then put on what was truly there."""
-        x, z, position = points[:, 0], points[:, 1], points[:, 2]
+        """Undo what the run took off each section, then put on what was truly there.
+
+        Shifts and turns between sections are read off by straight lines; turns are small, about the
+        picture's middle. Without ``sections`` nothing was taken off.
+        """
+        x, z, position = points.T
         if sections is not None:
-            aligned = {
-                name: np.interp(position, sections["position"].values, sections[name].values)
-                for name in ("shift_row", "shift_col", "rotation")
-            }
-            dx, dz = x - middle[0], z - middle[1]
-            x = x + aligned["shift_col"] - aligned["rotation"] * dz
-            z = z + aligned["shift_row"] + aligned["rotation"] * dx
+            aligned: list[Floats] = []
+            for name in ("shift_row", "shift_col", "rotation"):
+                of_sections = (sections["position"].values, sections[name].values)
+                aligned.append(np.interp(position, *of_sections))
+            shift_row, shift_col, rotation = aligned
+            dx = x - middle[0]
+            dz = z - middle[1]
+            x = x + shift_col - rotation * dz
+            z = z + shift_row + rotation * dx
             position = position + float(sections.attrs["first_position_um"])
         true_poses = (poses.shift_x_um, poses.shift_z_um, poses.turn_rad, poses.y_um)
         shift_x, shift_z, turn, true_y = (
@@ -193,10 +216,11 @@ def write_flatbed(specimen: Specimen, path: Path) -> Path:
     """
     dpi = specimen.params.flatbed.dpi
     values = specimen.flatbed.values
+    photometric = "rgb" if values.ndim == 3 else "minisblack"
     tifffile.imwrite(
         path,
         values,
-        photometric="rgb" if values.ndim == 3 else "minisblack",
+        photometric=photometric,
         resolution=(dpi, dpi),
         resolutionunit="INCH",
         software="planish flatbed scanner",
@@ -214,11 +238,13 @@ def write_nodes(specimen: Specimen, path: Path) -> None:
         Of the ``.npz`` file: ``points`` (rows, cols, 3), ``u, v`` and ``coating_top``, in um.
     """
     x, y, _ = specimen.extent_um
-    columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
-    u, v = columns[..., 0], columns[..., 1]
+    y_um = np.arange(0.0, y, _NODES_UM)
+    x_um = np.arange(0.0, x, _NODES_UM)
+    u, v, _ = np.moveaxis(specimen.warp.columns(y_um, x_um), -1, 0)
     top, inner_top = (specimen.sheet.at(face, u, v) for face in specimen.sheet.faces[:2])
     coating = (top - inner_top).astype(np.float32)
-    np.savez_compressed(path, points=specimen.warp.points(u, v), u=u, v=v, coating_top=coating)
+    points = specimen.warp.points(u, v)
+    np.savez_compressed(path, points=points, u=u, v=v, coating_top=coating)
 
 
 def write_truth(specimen: Specimen, folder: Path) -> None:
@@ -243,12 +269,11 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     _table(folder / "holes.csv", names, np.concatenate([holes, image_xy, volume_xyz], axis=1))
     poses = specimen.poses
     names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
-    _table(folder / "sections.csv", names, np.stack([getattr(poses, n) for n in names], axis=1))
-    data = {
-        "parameters": asdict(specimen.params),
-        "warp": asdict(specimen.warp),
-        "camera": asdict(specimen.pose),
-    }
+    of_sections = [getattr(poses, name) for name in names]
+    _table(folder / "sections.csv", names, np.stack(of_sections, axis=1))
+    data: Entries = {"parameters": asdict(specimen.params)}
+    data["warp"] = asdict(specimen.warp)
+    data["camera"] = asdict(specimen.pose)
     write_text(folder / "parameters.json", json.dumps(data, indent=2) + "\n")
 
 

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from planish.core.reflectance import LUMINANCE
 from planish.core.robust import running_sums
-from planish.core.typing import Floats, Shape
+from planish.core.typing import Floats, Shape, TwoFields
 from planish.synthetic.params import FlatbedParams, spawned
 
 INCH_UM = 25_400.0
@@ -39,10 +39,10 @@ class FlatbedScan:
         NaN outside the scan.
         """
         x, y = np.moveaxis(np.asarray(points, dtype=np.float64), -1, 0)
-        scanned = [
-            np.interp(place, middles, np.arange(middles.size), left=np.nan, right=np.nan)
-            for place, middles in ((x, self.columns_um), (y, self.lines_um))
-        ]
+        scanned: list[Floats] = []
+        for place, middles in ((x, self.columns_um), (y, self.lines_um)):
+            numbers = np.arange(middles.size)
+            scanned.append(np.interp(place, middles, numbers, left=np.nan, right=np.nan))
         return self.pixel_um * np.stack(scanned, axis=-1)
 
 
@@ -77,25 +77,31 @@ def scan_flatbed(
     if params.lens_um > 0:
         lit = ndimage.gaussian_filter(lit, params.lens_um / pixel_um, mode="nearest")
     pitch_um = INCH_UM / params.dpi
+    pitch_px = pitch_um / pixel_um
     lines_um, columns_um = _carriage(lit.shape, pixel_um, pitch_um, params, for_carriage)
-    across = _area_means(lit.T, columns_um / pixel_um, pitch_um / pixel_um).T
+    across = _area_means(lit.T, columns_um / pixel_um, pitch_px).T
     # The lines of red and blue, brought over that of green but for a rest. The grey of all three,
     # as their weights have it, lies where the carriage says.
-    shifts = np.array([-1.0, 0.0, 1.0]) - (LUMINANCE[2] - LUMINANCE[0])
-    shifts_um = params.colour_shift_px * shifts * pitch_um if params.colour else np.zeros(1)
-    channels = [
-        _area_means(across, (lines_um + shift_um) / pixel_um, pitch_um / pixel_um)
-        for shift_um in shifts_um
-    ]
+    shifts_um = np.zeros(1)
+    if params.colour:
+        shifts = np.array([-1.0, 0.0, 1.0]) - (LUMINANCE[2] - LUMINANCE[0])
+        shifts_um = params.colour_shift_px * shifts * pitch_um
+    channels: list[Floats] = []
+    for shift_um in shifts_um:
+        middles_px = (lines_um + shift_um) / pixel_um
+        channels.append(_area_means(across, middles_px, pitch_px))
     linear = np.clip(np.stack(channels, axis=-1), 0.0, 1.0)
     coded = 255.0 * encode(linear, params.gamma)
     coded += params.noise * for_noise.standard_normal(coded.shape)
     if params.sharpen > 0:
         sigma = (_UNSHARP_PX, _UNSHARP_PX, 0.0)
-        coded += params.sharpen * (coded - ndimage.gaussian_filter(coded, sigma, mode="nearest"))
+        blurred = ndimage.gaussian_filter(coded, sigma, mode="nearest")
+        coded += params.sharpen * (coded - blurred)
     values = _stored(coded, params)
+    if not params.colour:
+        values = values[..., 0]
     return FlatbedScan(
-        values=values if params.colour else values[..., 0],
+        values=values,
         pixel_um=pitch_um,
         lines_um=lines_um,
         columns_um=columns_um,
@@ -127,14 +133,19 @@ def _carriage(
     pitch_um: float,
     params: FlatbedParams,
     rng: np.random.Generator,
-) -> tuple[Floats, Floats]:
+) -> TwoFields:
     """Place in the picture of the middle of each row and column of the scan, in um.
+
+    ``shape`` (rows, cols) and ``pixel_um`` are those of the picture, ``pitch_um`` the pixel of the
+    scan as it is stated. Along y the true step differs from it by the error of scale, a slow error,
+    a ripple and an error of each line; along x by an error of scale.
 
     Every number is drawn whatever its size, so that one that is off does not move the others.
     """
     along, across, phase = rng.uniform(-1.0, 1.0, 3)
     widest_um = pitch_um * (1 + params.scale_range)
-    rows, columns = (int((n * pixel_um - 2 * _MARGIN_UM) / widest_um) for n in shape)
+    scanned_um = [n * pixel_um - 2 * _MARGIN_UM for n in shape]
+    rows, columns = (int(um / widest_um) for um in scanned_um)
     ramp_um = pitch_um * np.arange(rows)
     jitter = rng.standard_normal(rows)
     white = rng.standard_normal(int(_TRACK_UM / pitch_um))
@@ -144,7 +155,8 @@ def _carriage(
     lines_um += params.wander_um * (wander / wander.std())[:rows]
     lines_um += params.ripple_um * ripple
     lines_um += params.jitter_um * jitter
-    columns_um = _MARGIN_UM + pitch_um * np.arange(columns) * (1 + params.scale_range * across)
+    across_um = pitch_um * np.arange(columns)
+    columns_um = _MARGIN_UM + across_um * (1 + params.scale_range * across)
     return lines_um, columns_um
 
 
@@ -158,7 +170,10 @@ def _area_means(picture: Floats, middles: Floats, width: float) -> Floats:
 
 
 def _stored(coded: Floats, params: FlatbedParams) -> NDArray[np.generic]:
-    """Grey of 0 to 255 as the file holds it, after JPEG where that is asked for."""
+    """Grey of 0 to 255 as the file holds it, after JPEG where that is asked for.
+
+    (rows, columns, channels); 16 bits are 0 to 65535, for which 257 is 65535 / 255, and no JPEG.
+    """
     if params.bits == 16:
         return np.clip(np.rint(257.0 * coded), 0, 65535).astype(np.uint16)
     values = np.clip(np.rint(coded), 0, 255).astype(np.uint8)

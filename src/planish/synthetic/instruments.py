@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
-from planish.core.typing import Floats, Shape, Singles
+from planish.core.typing import Floats, Shape, Shape2D, Singles
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FWHM
 from planish.synthetic.params import ScannerParams, SectionsParams, Warp, generator
@@ -24,7 +24,7 @@ def painted(
     warp: Warp,
     ys_um: Floats,
     *,
-    shape: tuple[int, int],
+    shape: Shape2D,
     step_um: float,
     grey: tuple[float, float, float],
     halo: int,
@@ -45,7 +45,8 @@ def painted(
     w, curve = warp.packed()
     reach_um = sheet.reach_um + 2 * step_um
     half_depth = 1.05 * reach_um * float(np.hypot(1.0, warp.steepest))
-    base, coating = grey[1] - grey[0], grey[2] - grey[0]
+    base = grey[1] - grey[0]
+    coating = grey[2] - grey[0]
     greys = np.array([base, coating, _CRACK * coating])
     structure = sheet.structure
     structure_args = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
@@ -55,19 +56,20 @@ def painted(
     for start in range(0, shape[0], _BLOCK):
         stop = min(start + _BLOCK, shape[0])
         xs = np.arange(start - halo, stop + halo) * step_um
-        row_columns = [
-            _kernels.columns(w, curve, y_um, xs + shift)
-            for y_um, shift in zip(ys_um[:, None], shift_x, strict=True)
-        ]
+        row_columns: list[Floats] = []
+        for y_um, shift in zip(ys_um[:, None], shift_x, strict=True):
+            row_columns.append(_kernels.columns(w, curve, y_um, xs + shift))
         under = np.concatenate(row_columns)
-        middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
+        turned = turn[:, None] * (xs - middle_um[0])
+        middle = under[..., 2] - shift_z[:, None] - turned
         lowest_px = (middle.min() - half_depth) / step_um
         highest_px = (middle.max() + half_depth) / step_um
         first = max(int(np.floor(lowest_px)) - halo, 0)
         last = min(int(np.ceil(highest_px)) + halo, shape[1] - 1)
         if last < first:
             continue
-        block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
+        depth = last - first + 1 + 2 * halo
+        block = np.zeros((ys_um.size, xs.size, depth), dtype=np.float32)
         voxels = (ys_um, xs, first - halo, step_um, moved, middle_um)
         columns = (under, half_depth)
         fields = (sheet.packed, np.array(sheet.origin), PITCH_UM, greys)
@@ -81,18 +83,24 @@ def gaussian_taps(sigma: float) -> Singles:
 
     [1] for 0.
     """
-    reach = int(np.ceil(4 * sigma)) if sigma > 0 else 0
-    taps = np.exp(-0.5 * (np.arange(reach + 1) / max(sigma, 1e-9)) ** 2)
-    return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
+    reach = int(np.ceil(4 * max(sigma, 0.0)))
+    places = np.arange(reach + 1) / max(sigma, 1e-9)
+    taps = np.exp(-0.5 * places**2)
+    total = taps[0] + 2 * taps[1:].sum()
+    return (taps / total).astype(np.float32)
 
 
 def noise_gain(taps: Singles) -> np.float32:
     """Standard deviation of white noise of 1 after a filter along one axis."""
-    return np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
+    one_side = np.sum(taps[1:] ** 2)
+    return np.sqrt(taps[0] ** 2 + 2 * one_side)
 
 
 def smooth(slab: Slab, taps: Singles, axes: Shape) -> Slab:
-    """Filter along the axes; the result is shorter by the taps' reach at each end of them."""
+    """Filter along the axes; the result is shorter by the taps' reach at each end of them.
+
+    ``taps`` are the centre and one side of a symmetric filter, as of :func:`gaussian_taps`.
+    """
     reach = taps.size - 1
     if not reach:
         return slab
@@ -106,7 +114,8 @@ def smooth(slab: Slab, taps: Singles, axes: Shape) -> Slab:
             shifted = [plane[k : k + len(out)] for k in range(2 * reach + 1)]
             np.multiply(shifted[reach], taps[0], out=out)
             for k in range(1, reach + 1):
-                out += taps[k] * (shifted[reach - k] + shifted[reach + k])
+                both_sides = shifted[reach - k] + shifted[reach + k]
+                out += taps[k] * both_sides
         slab = smoothed
     return slab
 
@@ -115,9 +124,10 @@ def trimmed(slab: Slab, cut: int, axes: Shape) -> Slab:
     """Cut voxels off both ends of the axes."""
     if cut == 0:
         return slab
-    inner = slice(cut, -cut)
-    whole = slice(None)
-    return slab[tuple(inner if axis in axes else whole for axis in range(slab.ndim))]
+    parts = [slice(None)] * slab.ndim
+    for axis in axes:
+        parts[axis] = slice(cut, -cut)
+    return slab[tuple(parts)]
 
 
 _TILE_VOXELS, _LEAST_ROWS = 1 << 23, 24  # of a tile; the rows around it are painted twice
@@ -156,17 +166,23 @@ class Scanner:
         """
         # Made once, before threads ask for them.
         _ = self.sheet.packed, self._rings_image, self._cupping_factor
-        tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
-        starts = range(0, self.shape[1], tile_rows)
+        depth, rows, width = self.shape
+        tile_rows = tile_rows or max(_TILE_VOXELS // (depth * width), _LEAST_ROWS)
+        starts = range(0, rows, tile_rows)
         threads = count_threads()
         with thread_pool() as pool:
             for batch_start in range(0, len(starts), threads):
                 batch = starts[batch_start : batch_start + threads]
-                stops = [min(start + tile_rows, self.shape[1]) for start in batch]
-                yield from zip(batch, pool.map(self.rows, batch, stops), strict=True)
+                stops = [min(start + tile_rows, rows) for start in batch]
+                tiles = pool.map(self.rows, batch, stops)
+                yield from zip(batch, tiles, strict=True)
 
     def rows(self, start: int, stop: int) -> NDArray[np.generic]:
-        """Render the rows [start, stop) as (rows, x, z)."""
+        """Render the rows [start, stop) as (rows, x, z).
+
+        To the grey of air is added what the sheet adds, made fainter towards the middle of the
+        field, then rings, streaks and noise, each a share of the contrast of coating and air.
+        """
         p = self.params
         contrast = p.grey[2] - p.grey[0]
         slab = self._sheet(start, stop)
@@ -180,18 +196,22 @@ class Scanner:
             slab = slab + p.noise * abs(contrast) * self._noise(start, stop)
         slab = slab + np.float32(p.grey[0])
         if p.section_gain:
-            rngs = (generator(self.seed, "gain", str(row)) for row in range(start, stop))
-            gains = np.array(
-                [1 + p.section_gain * rng.standard_normal() for rng in rngs], np.float32
-            )
-            slab *= gains[:, None, None]
+            gains: list[float] = []
+            for row in range(start, stop):
+                rng = generator(self.seed, "gain", str(row))
+                gains.append(1 + p.section_gain * rng.standard_normal())
+            slab *= np.array(gains, np.float32)[:, None, None]
         if p.dtype != "float32":
             limits = np.iinfo(p.dtype)
             slab = np.clip(np.rint(slab), limits.min, limits.max)
         return slab.astype(p.dtype)
 
     def _sheet(self, start: int, stop: int) -> Slab:
-        """Slices of the sheet as the scanner blurs it, with fringes at its edges, without noise."""
+        """Slices of the sheet as the scanner blurs it, with fringes at its edges, without noise.
+
+        (rows, x, z), the grey that the sheet adds to that of air. A halo as wide as the longer of
+        both filters is painted around, and cut off by them.
+        """
         p = self.params
         psf = gaussian_taps(p.fwhm_um / FWHM / p.voxel_um)
         ring = gaussian_taps(_FRINGE_PX)
@@ -207,30 +227,39 @@ class Scanner:
             halo=halo,
             moved=np.zeros((3, ys.size)),
         )
-        slab = np.zeros((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
+        depth, _, width = self.shape
+        slab = np.zeros((stop - start, width, depth), dtype=np.float32)
         axes = (0, 1, 2)
-        for col, depth, block in blocks:
+        for first_col, first, block in blocks:
             blurred = trimmed(smooth(block, psf, axes), halo - psf.size + 1, axes)
             if p.fringe:
-                fringe = trimmed(_laplacian(smooth(block, ring, axes)), halo - ring.size, axes)
+                curvature = _laplacian(smooth(block, ring, axes))
+                fringe = trimmed(curvature, halo - ring.size, axes)
                 blurred = blurred - np.float32(p.fringe) * fringe
-            slab[:, col : col + blurred.shape[1], depth : depth + blurred.shape[2]] = blurred
+            _, n_cols, n_deep = blurred.shape
+            slab[:, first_col : first_col + n_cols, first : first + n_deep] = blurred
         return slab
 
     def _noise(self, start: int, stop: int) -> Slab:
-        """White or correlated noise of unit standard deviation.
+        """White or correlated noise of unit standard deviation: (rows, x, z).
 
-        Every row has random numbers of its own.
+        Every row has random numbers of its own, so that rows of a halo are the same in all tiles.
+        A Gaussian of half the correlation length makes noise of that length.
         """
         taps = gaussian_taps(0.5 * self.params.noise_px)
         halo = taps.size - 1
-        plane = (self.shape[2] + 2 * halo, self.shape[0] + 2 * halo)
-        rngs = (generator(self.seed, "scan", str(row)) for row in range(start - halo, stop + halo))
-        white = np.stack([rng.standard_normal(plane, dtype=np.float32) for rng in rngs])
+        depth, _, width = self.shape
+        plane = (width + 2 * halo, depth + 2 * halo)
+        planes: list[Slab] = []
+        for row in range(start - halo, stop + halo):
+            rng = generator(self.seed, "scan", str(row))
+            planes.append(rng.standard_normal(plane, dtype=np.float32))
+        white = np.stack(planes)
         gain = np.float32(float(noise_gain(taps)) ** 3)
         return smooth(white, taps, (0, 1, 2)) / gain
 
     def _radius(self) -> Floats:
+        """Distance from the axis of rotation in voxels, (x, z)."""
         z, x = (np.arange(n) - 0.5 * (n - 1) for n in self.shape[::2])
         return np.hypot(x[:, None], z)
 
@@ -249,17 +278,20 @@ class Scanner:
         for _ in range(self.params.rings):
             ring_radius = rng.uniform(0.05, 0.6) * radius.max()
             sign = rng.choice([-1.0, 1.0])
-            plane += sign * self.params.ring * np.exp(-0.5 * (radius - ring_radius) ** 2)
+            profile = np.exp(-0.5 * (radius - ring_radius) ** 2)
+            plane += sign * self.params.ring * profile
         return plane.astype(np.float32)
 
     def _streaks(self, start: int, stop: int) -> Slab:
-        """Lines along x, thin in z, that fade in and out over rows and along x.
+        """Lines along x, thin in z, that fade in and out over rows and along x: (rows, x, z).
 
-        Unit standard deviation.
+        Unit standard deviation. Every 8th row is a knot with random numbers of its own, and so is
+        every millimetre along x in it; rows and columns between fade from one knot to the next.
         """
         depth, _, width = self.shape
-        n_knots = int(np.ceil(width * self.params.voxel_um / _STREAK_UM)) + 2
-        knot_position = np.arange(width, dtype=np.float64) * self.params.voxel_um / _STREAK_UM
+        voxel_um = self.params.voxel_um
+        n_knots = int(np.ceil(width * voxel_um / _STREAK_UM)) + 2
+        knot_position = np.arange(width, dtype=np.float64) * voxel_um / _STREAK_UM
         taps = gaussian_taps(1.0)
         shape = (1, n_knots, depth + 2 * (taps.size - 1))
 
@@ -270,7 +302,9 @@ class Scanner:
             j = knot_position.astype(int)
             return _faded(lines[j], lines[j + 1], (knot_position % 1)[:, None])
 
-        knots = {k: knot(k) for k in range(start // _STREAK_ROWS, (stop - 1) // _STREAK_ROWS + 2)}
+        first_knot = start // _STREAK_ROWS
+        last_knot = (stop - 1) // _STREAK_ROWS + 1
+        knots = {k: knot(k) for k in range(first_knot, last_knot + 1)}
         out = np.empty((stop - start, width, depth), dtype=np.float32)
         for i, row in enumerate(range(start, stop)):
             k, beyond = divmod(row, _STREAK_ROWS)
@@ -280,7 +314,8 @@ class Scanner:
 
 def _faded(a: Floats, b: Floats, share: Floats | float) -> Floats:
     """Go from one noise to another of the same standard deviation, which stays."""
-    return (a * (1 - share) + b * share) / np.sqrt((1 - share) ** 2 + share**2)
+    rest = 1 - share
+    return (a * rest + b * share) / np.sqrt(rest**2 + share**2)
 
 
 def _laplacian(slab: Slab) -> Slab:
@@ -293,7 +328,8 @@ def _laplacian(slab: Slab) -> Slab:
     depths = trimmed(slab, 1, (0, 1))
     total = rows[2:] + rows[:-2] + cols[:, 2:]
     total += cols[:, :-2] + depths[..., 2:] + depths[..., :-2]
-    return np.float32(_FRINGE_PX**2) * (total - 6 * trimmed(slab, 1, (0, 1, 2)))
+    centre = trimmed(slab, 1, (0, 1, 2))
+    return np.float32(_FRINGE_PX**2) * (total - 6 * centre)
 
 
 _EPOCH = 40  # sections cut with one part of the knife's edge
@@ -324,7 +360,11 @@ class Poses:
 
 
 def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
-    """Cut a block of ``length_um`` along y."""
+    """Cut a block of ``length_um`` along y.
+
+    Along x and z a section is off by white noise and a random walk, along y by an error of its
+    thickness, and it is turned. Some sections are lost.
+    """
     count = int(length_um / params.section_um) + 1
     rng = generator(seed, "poses")
     jitter = rng.standard_normal((2, count))
@@ -341,17 +381,20 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
         if not is_lost[max(k - 1, 0)]:  # one that is left between two runs keeps them apart
             is_lost[k : k + run_lengths[k]] = True
     is_lost[:1] = is_lost[-1:] = False
-    shift = params.jitter_um * jitter + params.walk_um * walk
     indices = np.flatnonzero(~is_lost)
+    shift = params.jitter_um * jitter + params.walk_um * walk
+    shift_x, shift_z = shift[:, indices]
     counter = params.section_um * np.arange(count, dtype=np.float64)
-    true_y = length_um - counter - params.thickness * params.section_um * position_error
+    error_um = params.thickness * params.section_um * position_error
+    true_y = length_um - counter - error_um
+    turn_rad = np.deg2rad(params.rotation_deg) * turn[indices]
     return Poses(
         index=indices,
         counter_um=counter[indices],
         y_um=true_y[indices],
-        shift_x_um=shift[0, indices],
-        shift_z_um=shift[1, indices],
-        turn_rad=np.deg2rad(params.rotation_deg) * turn[indices],
+        shift_x_um=shift_x,
+        shift_z_um=shift_z,
+        turn_rad=turn_rad,
     )
 
 
@@ -366,7 +409,7 @@ class Microtome:
     warp: Warp
     params: SectionsParams
     poses: Poses
-    shape: tuple[int, int]
+    shape: Shape2D
     seed: int
 
     def pictures(self) -> Iterator[NDArray[np.uint8]]:
@@ -376,10 +419,15 @@ class Microtome:
         step = 8 * count_threads()
         with thread_pool() as pool:
             for start in range(0, count, step):
-                yield from pool.map(self.picture, range(start, min(start + step, count)))
+                batch = range(start, min(start + step, count))
+                yield from pool.map(self.picture, batch)
 
     def picture(self, k: int) -> NDArray[np.uint8]:
-        """Render the k-th picture that was kept."""
+        """Render the k-th picture that was kept: (rows, cols) or (rows, cols, 3), 0 to 255.
+
+        Over the sheet in its resin lie a soft texture of the resin and marks of the knife, both the
+        same in all colours, and each colour has a gain of its own.
+        """
         p = self.params
         contrast = p.grey[0] - p.grey[2]
         number = int(self.poses.index[k])
@@ -388,14 +436,17 @@ class Microtome:
         rows, cols = self.shape
         knots_shape = (rows // _RESIN_PX + 2, cols // _RESIN_PX + 2)
         knots = rng.standard_normal(knots_shape, dtype=np.float32)
-        resin_texture = _between(_between(knots, rows).T, cols).T
+        along_rows = _between(knots, rows)
+        resin_texture = _between(along_rows.T, cols).T
         knife_marks = p.knife * contrast * self._knife(number)
         texture = (p.texture * contrast * resin_texture + knife_marks).astype(np.float32)
         if not p.colour:
             return self._exposed(k, p.grey, float(gains[1]), texture, rng)
         channels: list[NDArray[np.uint8]] = []
-        for (resin, base, coating), gain in zip(zip(*_TINTS, strict=True), gains, strict=True):
-            grey = (p.grey[0] * resin, p.grey[1] * base, p.grey[2] * coating)
+        resin, base, coating = p.grey
+        tints = zip(*_TINTS, strict=True)
+        for (of_resin, of_base, of_coating), gain in zip(tints, gains, strict=True):
+            grey = (resin * of_resin, base * of_base, coating * of_coating)
             channels.append(self._exposed(k, grey, float(gain), texture, rng))
         return np.stack(channels, axis=-1)
 
@@ -407,7 +458,10 @@ class Microtome:
         texture: Slab,
         rng: np.random.Generator,
     ) -> NDArray[np.uint8]:
-        """One channel of the k-th picture: ``grey`` of resin, base and coating, by its gain."""
+        """One channel of the k-th picture: ``grey`` of resin, base and coating, by its gain.
+
+        ``texture`` (rows, cols) is added to the resin, and the noise of the camera to all.
+        """
         p = self.params
         taps = gaussian_taps(p.defocus_um / p.pixel_um)
         poses = self.poses
@@ -424,16 +478,20 @@ class Microtome:
             moved=np.stack([move[k : k + 1] for move in moves]),
         )
         picture = np.zeros((cols, rows), dtype=np.float32)
-        for col, depth, block in blocks:
+        for first_col, first, block in blocks:
             blurred = smooth(block, taps, (1, 2))[0]
-            picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
+            n_cols, n_deep = blurred.shape
+            picture[first_col : first_col + n_cols, first : first + n_deep] = blurred
         grain = rng.standard_normal(self.shape, dtype=np.float32)
         noise = p.noise * (p.grey[0] - p.grey[2]) * grain
         exposed = gain * (grey[0] + picture.T + texture) + noise
         return np.clip(np.rint(exposed), 0, 255).astype(np.uint8)
 
     def _knife(self, number: int) -> Slab:
-        """Lines across the sheet, the same over as many sections as one part of the edge lasts."""
+        """Lines across the sheet, the same over as many sections as one part of the edge lasts.
+
+        (1, columns), bright or dark by 1 in their middle, with a Gaussian profile of 1.5 pixels.
+        """
         rng = generator(self.seed, "knife", str(number // _EPOCH))
         width = self.shape[1]
         n_marks = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
@@ -442,11 +500,13 @@ class Microtome:
         centres = rng.uniform(0, width, n_marks).astype(np.float32)
         signs = rng.choice([-1.0, 1.0], n_marks).astype(np.float32)
         for centre, sign in zip(centres, signs, strict=True):
-            marks += sign * np.exp(-0.5 * ((x - centre) / np.float32(1.5)) ** 2)
+            from_centre = (x - centre) / np.float32(1.5)
+            marks += sign * np.exp(-0.5 * from_centre**2)
         return marks
 
 
 def _between(knots: Slab, count: int) -> Slab:
+    """Rows between knots that are 24 pixels apart, so many of them, by straight lines."""
     knot_position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
     k = knot_position.astype(int)
     f = (knot_position - k)[:, None].astype(np.float32)

@@ -78,16 +78,19 @@ def make_specimen(
     _check_film(params, sheet)
     warp, uvz, depth_um = _place_in_volume(params)
     uv = uvz[..., :2]
-    field_uv = np.concatenate([uv.min(axis=(0, 1)), uv.max(axis=(0, 1))])
+    seen_low = uv.min(axis=(0, 1))
+    seen_high = uv.max(axis=(0, 1))
+    field_uv = np.concatenate([seen_low, seen_high])
     image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
     height_um, width_um = np.multiply(image_shape, params.camera.pixel_um)
     frame_um = grid_points(np.array([0.0, width_um]), np.array([0.0, height_um]))
     corners = pose.inverse(frame_um)
-    low = np.minimum(field_uv[:2], corners.min(axis=(0, 1))) - _BEYOND_UM
-    high = np.maximum(field_uv[2:], corners.max(axis=(0, 1))) + _BEYOND_UM
+    # The sheet reaches beyond what volume and image show.
+    low = np.minimum(seen_low, corners.min(axis=(0, 1))) - _BEYOND_UM
+    high = np.maximum(seen_high, corners.max(axis=(0, 1))) + _BEYOND_UM
     if sheet is None:
         sheet = _sheet_of(params, uv, low, high)
-    elif not sheet.covers(field_uv[:2], field_uv[2:]):
+    elif not sheet.covers(seen_low, seen_high):
         raise ValueError(
             "the given sheet does not reach as far as the volume shows it; bend it more or make it"
             " larger"
@@ -127,12 +130,13 @@ def _sheet_of(params: SpecimenParams, uv: Floats, low: Floats, high: Floats) -> 
     u, v = np.moveaxis(uv, -1, 0)
     inner_low = np.array([u[:, 0].max(), v[0].max()])
     inner_high = np.array([u[:, -1].min(), v[-1].min()])
+    centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
     return make_sheet(
         params.paper,
         params.holes,
         low=low,
         high=high,
-        centres=hole_pattern(params.holes, inner_low, inner_high, params.seed),
+        centres=centres,
         seed=params.seed,
         stiffness=params.stiffness,
         film=params.film,
@@ -171,17 +175,25 @@ def write_specimen(
 def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     """Bring the sheet's own origin to the middle of the volume.
 
-    Give the warp, its columns (u, v, z), and the depth.
+    Give the warp, its columns (u, v, z) at 61 x 81 places of the volume (y, x), and the depth of
+    the volume, which holds the sheet with its film and some air around.
     """
-    (width_um, height_um), p = params.size_um, params.paper
-    reach_um = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
-    warp = replace(params.warp, shift_um=(width_um / 2, height_um / 2, 0.0), reach_um=reach_um)
-    uvz = warp.columns(np.linspace(0, height_um, 61), np.linspace(0, width_um, 81))
+    width_um, height_um = params.size_um
+    p = params.paper
+    middle = (width_um / 2, height_um / 2)
+    steepest = params.warp.steepest
+    reach_um = 2.0 * max(params.size_um) / np.cos(np.arctan(steepest)) + 1000.0
+    warp = replace(params.warp, shift_um=(*middle, 0.0), reach_um=reach_um)
+    y_um = np.linspace(0, height_um, 61)
+    uvz = warp.columns(y_um, np.linspace(0, width_um, 81))
     thickness_um = p.base_um + p.coating_top_um + p.coating_bottom_um
     film = params.film
-    film_depth_um = film.film_um + film.gap_um if film is not None else 0.0
+    film_depth_um = 0.0
+    if film is not None:
+        film_depth_um = film.film_um + film.gap_um
     depth_um = 0.5 * thickness_um + 20.0 + film_depth_um
-    margin_um = depth_um * float(np.hypot(1.0, warp.steepest)) + 60.0
-    low_z = float(uvz[..., 2].min()) - margin_um
-    high_z = float(uvz[..., 2].max()) + margin_um
-    return replace(warp, shift_um=(width_um / 2, height_um / 2, -low_z)), uvz, high_z - low_z
+    margin_um = depth_um * float(np.hypot(1.0, steepest)) + 60.0
+    centre_z = uvz[..., 2]
+    low_z = float(centre_z.min()) - margin_um
+    high_z = float(centre_z.max()) + margin_um
+    return replace(warp, shift_um=(*middle, -low_z)), uvz, high_z - low_z

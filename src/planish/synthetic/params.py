@@ -17,7 +17,7 @@ from zlib import crc32
 import numpy as np
 
 from planish.core.robust import running_sums
-from planish.core.typing import Array, Entries, Floats, Pair
+from planish.core.typing import Array, Entries, Floats, Pair, TwoFields
 
 
 def stream(seed: int, *names: str) -> np.random.SeedSequence:
@@ -25,7 +25,8 @@ def stream(seed: int, *names: str) -> np.random.SeedSequence:
 
     A nuisance that is switched off does not change the others.
     """
-    return np.random.SeedSequence(seed, spawn_key=tuple(crc32(name.encode()) for name in names))
+    keys = [crc32(name.encode()) for name in names]
+    return np.random.SeedSequence(seed, spawn_key=tuple(keys))
 
 
 def generator(seed: int, *names: str) -> np.random.Generator:
@@ -38,8 +39,11 @@ def spawned(seed: np.random.SeedSequence, count: int) -> list[np.random.Generato
 
     ``seed.spawn`` would count in the caller's object and give others next time.
     """
-    keys = [(*seed.spawn_key, k) for k in range(count)]
-    return [np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=k)) for k in keys]
+    rngs: list[np.random.Generator] = []
+    for k in range(count):
+        child = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k))
+        rngs.append(np.random.default_rng(child))
+    return rngs
 
 
 class Strict:
@@ -63,18 +67,23 @@ def draw_params(params: Any) -> Any:
 
 
 def _draw(params: Any, rng: np.random.Generator) -> Any:
+    """Draw the fields of a dataclass with a range, and those of the dataclasses in it."""
     changes: Entries = {}
     for parameter in fields(params):
-        if is_dataclass(getattr(params, parameter.name)):
-            changes[parameter.name] = _draw(getattr(params, parameter.name), rng)
-        elif "range" in parameter.metadata:
-            limits = parameter.metadata["range"]
-            if parameter.metadata["choice"]:
-                changes[parameter.name] = limits[int(rng.integers(len(limits)))]
+        name = parameter.name
+        metadata = parameter.metadata
+        section = getattr(params, name)
+        if is_dataclass(section):
+            changes[name] = _draw(section, rng)
+        elif "range" in metadata:
+            limits = metadata["range"]
+            if metadata["choice"]:
+                index = int(rng.integers(len(limits)))
+                changes[name] = limits[index]
             elif all(isinstance(limit, int) for limit in limits):
-                changes[parameter.name] = int(rng.integers(limits[0], limits[1] + 1))
+                changes[name] = int(rng.integers(limits[0], limits[1] + 1))
             else:
-                changes[parameter.name] = float(rng.uniform(*limits))
+                changes[name] = float(rng.uniform(*limits))
     return replace(params, **changes)
 
 
@@ -110,7 +119,7 @@ class Warp(Strict):
     shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: added to (x, y, z)
     reach_um: float = 8000.0  #: largest ``|u|`` and ``|v|`` that are asked for
 
-    def packed(self) -> tuple[Floats, Floats]:
+    def packed(self) -> TwoFields:
         """Return the parameters and the profile curve as the kernels take them."""
         return _packed(self)
 
@@ -145,9 +154,11 @@ class Warp(Strict):
         """
         from planish.synthetic import _kernels
 
-        return _kernels.columns(*self.packed(), np.asarray(y_um, float), np.asarray(x_um, float))
+        y_um = np.asarray(y_um, float)
+        x_um = np.asarray(x_um, float)
+        return _kernels.columns(*self.packed(), y_um, x_um)
 
-    def _frames(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    def _frames(self, u: Floats, v: Floats) -> TwoFields:
         from planish.synthetic import _kernels
 
         uv = np.stack(np.broadcast_arrays(u, v)).astype(float)
@@ -157,8 +168,14 @@ class Warp(Strict):
 
 
 @lru_cache(maxsize=8)
-def _packed(warp: Warp) -> tuple[Floats, Floats]:
-    """Numbers of a warp as the kernels take them, and places and directions (steps, 4) of it."""
+def _packed(warp: Warp) -> TwoFields:
+    """Numbers of a warp as the kernels take them, and places and directions (steps, 4) of it.
+
+    What each number is stands at the top of ``_kernels``. Along the profile curve, by arc length p
+    from ``-1.5 reach_um`` to ``1.5 reach_um`` in steps of 2 um, the second array has (X, Z) and
+    their derivatives. The curve is the integral of its direction, whose angle is psi(p), from the
+    middle on.
+    """
     angle = np.deg2rad(warp.ruling_deg)
     psi = np.arctan(warp.slope)
     k = 2 * np.pi / warp.wavelength_um
@@ -166,17 +183,24 @@ def _packed(warp: Warp) -> tuple[Floats, Floats]:
     curl = np.deg2rad(warp.curl_deg)
 
     def turn_at(p: Array) -> Floats:
-        curled = 0.5 * (1 + np.tanh((p - warp.curl_p_um) / (2 * warp.curl_width_um)))
-        return tilt + psi * np.sin(k * p + warp.phase_rad) + curl * curled
+        """Angle of the profile's direction at arc length p, in rad."""
+        past_curl = (p - warp.curl_p_um) / (2 * warp.curl_width_um)
+        curled = 0.5 * (1 + np.tanh(past_curl))
+        wave = psi * np.sin(k * p + warp.phase_rad)
+        return tilt + wave + curl * curled
 
-    count = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM)) + 1
-    p0 = -(count // 2) * _STEP_UM
+    n_steps = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM))
+    count = n_steps + 1
+    middle = count // 2
+    p0 = -middle * _STEP_UM
     # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
-    p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
+    nodes = 0.5 * (1 + _GAUSS_X)
+    p = p0 + _STEP_UM * (np.arange(n_steps)[:, None] + nodes)
     turn = turn_at(p)
-    steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W])
+    mean_directions = np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W])
+    steps = 0.5 * _STEP_UM * mean_directions
     places = running_sums(steps).T
-    places = places - places[count // 2]
+    places = places - places[middle]
     turn = turn_at(p0 + _STEP_UM * np.arange(count))
     curve = np.column_stack([places, np.cos(turn), np.sin(turn)])
     parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM]

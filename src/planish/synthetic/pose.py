@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.transform import Similarity, grid_points
-from planish.core.typing import Floats, Pair, pair_of
+from planish.core.typing import Floats, Pair, Shape2D, pair_of
 from planish.synthetic.params import CameraParams
 
 _TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the volume shows
@@ -41,9 +41,11 @@ class CameraPose:
         """
         middle = np.array(self.middle_um)
         centre = np.array(self.centre_um)
-        stretched = middle + (np.asarray(points, dtype=np.float64) - middle) * self._strain()
+        from_middle = np.asarray(points, dtype=np.float64) - middle
+        stretched = middle + from_middle * self._strain()
         offset = self.similarity(stretched) - centre
-        radius_squared = np.sum(offset * offset, axis=-1, keepdims=True) / self.half_diagonal_um**2
+        squares = np.sum(offset * offset, axis=-1, keepdims=True)
+        radius_squared = squares / self.half_diagonal_um**2
         return centre + offset * (1 + self.radial * radius_squared)
 
     def inverse(self, points: ArrayLike) -> Floats:
@@ -72,20 +74,23 @@ class CameraPose:
         steps never overshoot.
         """
         k = self.radial
-        fold = 2 / (3 * np.sqrt(-3 * k)) if k < 0 else np.inf  # the cubic's maximum
+        fold = np.inf
+        if k < 0:
+            fold = 2 / (3 * np.sqrt(-3 * k))  # the cubic's maximum
         t = np.where(shown > fold, np.nan, shown)
         # Never reached: from its start the iteration is monotonic and ends within ten.
         for _ in range(50):
             step = (t + k * t**3 - shown) / (1 + 3 * k * t * t)
             t -= step
-            if not np.any(np.abs(step) > 1e-14 * (1 + np.abs(t))):
+            rounding = 1e-14 * (1 + np.abs(t))
+            if not np.any(np.abs(step) > rounding):
                 break
         return np.divide(t, shown, out=np.ones_like(t), where=shown > 0)
 
 
 def draw_pose(
     camera: CameraParams, spread: ArrayLike, rng: np.random.Generator
-) -> tuple[tuple[int, int], CameraPose]:
+) -> tuple[Shape2D, CameraPose]:
     """Frame the camera so that it sees about what the volume holds.
 
     It is turned, stands beside it, and has errors of its own.
@@ -111,11 +116,14 @@ def draw_pose(
     middle = 0.5 * (field[:2] + field[2:])
     width_um, height_um = _frame_sides(field, rotation)
     scale_factor = float(1 + camera.scale_range * scale)
-    grid = grid_points(*np.linspace(field[:2], field[2:], 101).T)
+    linear = Similarity(scale=scale_factor, rotation_rad=rotation, mirrored=camera.mirrored)
+    axes = np.linspace(field[:2], field[2:], 101)
+    grid = grid_points(*axes.T)
 
-    def posed(shape: tuple[int, int], shift: Floats) -> CameraPose:
-        centre = 0.5 * camera.pixel_um * (np.array(shape[::-1]) - 1.0)
-        linear = Similarity(scale=scale_factor, rotation_rad=rotation, mirrored=camera.mirrored)
+    def posed(shape: Shape2D, shift: Floats) -> CameraPose:
+        """The pose that brings the sheet's middle ``shift`` (x, y) away from the frame's, in um."""
+        last_pixel = np.array(shape[::-1]) - 1.0
+        centre = 0.5 * camera.pixel_um * last_pixel
         shift_um = pair_of(centre + shift - linear(middle))
         return CameraPose(
             similarity=replace(linear, shift_um=shift_um),
@@ -126,17 +134,20 @@ def draw_pose(
             half_diagonal_um=float(np.hypot(*centre)),
         )
 
-    def in_view(shape: tuple[int, int], shift: Floats) -> float:
+    def in_view(shape: Shape2D, shift: Floats) -> float:
+        """Share of the material that lies in the frame."""
         pose = posed(shape, shift)
         image_points = pose(grid)
-        is_inside = (image_points >= 0) & (image_points <= 2 * np.array(pose.centre_um))
+        last_um = 2 * np.array(pose.centre_um)
+        is_inside = (image_points >= 0) & (image_points <= last_um)
         return float(np.mean(np.all(is_inside, axis=-1)))
 
     no_shift = np.zeros(2)
     rows = max(int(_TALL * height_um / camera.pixel_um), 2)
     cols = max(int(_WIDE * width_um / camera.pixel_um), 2)
     while in_view((rows, cols), no_shift) < _CENTRED_IN_VIEW:
-        rows, cols = (int(_GROWTH * n) + 1 for n in (rows, cols))
+        rows = int(_GROWTH * rows) + 1
+        cols = int(_GROWTH * cols) + 1
     shape = (rows, cols)
     drawn_shift = camera.shift_range_um * np.array([shift_x, shift_y])
     low = 0.0

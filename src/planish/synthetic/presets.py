@@ -242,9 +242,11 @@ def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
     params : SpecimenParams
     names : iterable of str; keys of :data:`NUISANCES`
     """
-    for _, section, fields in (NUISANCES[name] for name in names):
+    for name in names:
+        _, section, fields = NUISANCES[name]
         off = {field: _OFF.get(field, 0.0) for field in fields}
-        params = replace(params, **{section: replace(getattr(params, section), **off)})
+        without_it = replace(getattr(params, section), **off)
+        params = replace(params, **{section: without_it})
     return params
 
 
@@ -310,7 +312,9 @@ class SpecimenOptions(Params):
     def params(self) -> SpecimenParams:
         """Parameters of the specimen."""
         # A field of a millimetre has no room for the coded pattern.
-        holes = BurnParams(pattern="irregular", count=3) if self.size == "T0" else BurnParams()
+        holes = BurnParams()
+        if self.size == "T0":
+            holes = BurnParams(pattern="irregular", count=3)
         paper = PRESETS[self.preset][1]
         if self.slab or self.size == "T3":  # without voxels no fibre is seen
             paper = paper.as_slab()

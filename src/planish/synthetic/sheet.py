@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
-from planish.core.typing import Complexes, Floats, Pair, Shape, Singles, pair_of
+from planish.core.typing import Complexes, Floats, Pair, Shape, Shape2D, Singles, TwoFields, pair_of
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FibreMat, Structure, drawn_angles
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
@@ -22,12 +22,13 @@ PITCH_UM = 3.0  # of the sheet's grid
 _FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))
 
 
-def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
+def noise(shape: Shape2D, correlation_um: float, rng: np.random.Generator) -> Floats:
     """Draw a Gaussian random field (rows, cols), mean 0, sd 1.
 
     Its autocorrelation is ``exp(-(r / correlation_um)^2)``.
     """
-    smooth = _filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)
+    white = rng.standard_normal(_padded(shape))
+    smooth = _filtered(white, 0.5 * correlation_um)
     return _unit(smooth[: shape[0], : shape[1]])
 
 
@@ -37,47 +38,50 @@ def lowpass(field: Floats, half_um: float) -> Floats:
     The field is mirrored at its borders.
     """
     sigma = half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi
-    pad = min(int(4 * sigma / PITCH_UM) + 1, min(field.shape) - 1)
+    rows, cols = field.shape
+    pad = min(int(4 * sigma / PITCH_UM) + 1, min(rows, cols) - 1)
     padded = np.pad(field, pad, mode="reflect")
     filtered = _filtered(padded, sigma)
-    return filtered[pad : pad + field.shape[0], pad : pad + field.shape[1]]
+    return filtered[pad : pad + rows, pad : pad + cols]
 
 
-def streaks(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
+def streaks(shape: Shape2D, correlation_um: float, rng: np.random.Generator) -> Floats:
     """Random field that does not change along the machine direction (the columns' axis u)."""
     profile = noise((shape[0], 8), correlation_um, rng)[:, :1]
     return np.broadcast_to(_unit(profile), shape).copy()
 
 
-def fibres(
-    shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.random.Generator
-) -> Floats:
-    """Height, 0 to 1, of fibres laid at random.
+def fibres(shape: Shape2D, per_mm2: float, anisotropy: float, rng: np.random.Generator) -> Floats:
+    """Height, 0 to 1, of fibres laid at random, (rows, cols).
 
-    ``anisotropy``: number along u over across, by von Mises' angles.
+    ``anisotropy``: number along u over across, by von Mises' angles. Fibres begin up to half of the
+    longest one outside of the field, and are 8 at least.
     """
     count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
     (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
     margin = 0.5 * longest / PITCH_UM
-    starts = rng.uniform(-margin, np.add(shape[::-1], margin), (count, 2))
+    ends = np.add(shape[::-1], margin)
+    starts = rng.uniform(-margin, ends, (count, 2))
     angles = drawn_angles(anisotropy, count, rng)
     lengths = rng.uniform(shortest, longest, count) / PITCH_UM
     widths = rng.uniform(narrowest, widest, count) / PITCH_UM
     curls = rng.normal(0, 4e-4, count) * PITCH_UM
     # The angle is that of a fibre's middle: half of the curl lies before it.
-    _kernels.lay_fibres(field, starts, angles - 0.5 * curls * lengths, lengths, widths, curls)
+    start_angles = angles - 0.5 * curls * lengths
+    _kernels.lay_fibres(field, starts, start_angles, lengths, widths, curls)
     return field
 
 
 def fibrous(
-    shape: tuple[int, int], anisotropy: float, rng: np.random.Generator, *, per_mm2: float = 29.0
+    shape: Shape2D, anisotropy: float, rng: np.random.Generator, *, per_mm2: float = 29.0
 ) -> Floats:
     """Draw a random field at fibre scale: fibres and the net between them.
 
     It has mean 0 and standard deviation 1.
     """
-    return _unit(3.0 * fibres(shape, per_mm2, anisotropy, rng) + noise(shape, 35.0, rng))
+    laid = fibres(shape, per_mm2, anisotropy, rng)
+    return _unit(3.0 * laid + noise(shape, 35.0, rng))
 
 
 def _unit(field: Floats) -> Floats:
@@ -90,13 +94,20 @@ def _padded(shape: Shape) -> Shape:
 
 
 def _filtered(field: Floats, sigma_um: float) -> Floats:
+    """Gaussian filter (rows, cols) by its transfer function; the field goes on around the border.
+
+    It is padded with its own beginning to a size with a fast Fourier transform.
+    """
+    rows, cols = field.shape
     shape = _padded(field.shape)
-    beyond = [(0, n - rows) for n, rows in zip(shape, field.shape, strict=True)]
+    beyond = [(0, shape[0] - rows), (0, shape[1] - cols)]
     spectrum = fft.rfft2(np.pad(field, beyond, mode="wrap"))
-    frequencies = fft.fftfreq(shape[0], PITCH_UM), fft.rfftfreq(shape[1], PITCH_UM)
-    fy, fx = (np.exp(-2 * (np.pi * sigma_um * frequency) ** 2) for frequency in frequencies)
+    along_y = fft.fftfreq(shape[0], PITCH_UM)
+    along_x = fft.rfftfreq(shape[1], PITCH_UM)
+    fy = np.exp(-2 * (np.pi * sigma_um * along_y) ** 2)
+    fx = np.exp(-2 * (np.pi * sigma_um * along_x) ** 2)
     filtered = fft.irfft2(spectrum * fy[:, None] * fx, shape)
-    return filtered[: field.shape[0], : field.shape[1]]
+    return filtered[:rows, :cols]
 
 
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
@@ -124,19 +135,28 @@ def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Fl
         designed = _coded(params, low, high)
     else:
         designed = _scattered(params, low, high, seed)
-    return designed + params.stage_um * generator(seed, "stage").standard_normal(designed.shape)
+    errors = generator(seed, "stage").standard_normal(designed.shape)
+    return designed + params.stage_um * errors
 
 
 def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
-    """Holes on three sides whose distances identify any few of them."""
+    """Holes on three sides whose distances identify any few of them.
+
+    One line runs along u from the corner at ``low`` (u, v), two along v from 520 um beside it and
+    beside the other corner. What does not fit is left out; ValueError where fewer than 4 do.
+    """
     per_line = -(-params.count // 3)
-    corner, side_start_v = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)
-    starts = (corner, (corner[0], side_start_v), (high[0] - _BORDER_UM, side_start_v))
+    corner = low + _BORDER_UM
+    end = high - _BORDER_UM
+    side_start_v = low[1] + (_BORDER_UM + 520.0)
+    starts = (corner, (corner[0], side_start_v), (end[0], side_start_v))
     lines: list[Floats] = []
     for pitches, start, direction in zip(_PITCHES_UM, starts, (0, 1, 1), strict=True):
         line = np.tile(start, (per_line, 1))
-        line[:, direction] += np.concatenate([[0.0], np.cumsum(pitches)])[:per_line]
-        lines.append(line[np.all(line <= high - _BORDER_UM + 1e-6, axis=1)])
+        places_um = np.concatenate([[0.0], np.cumsum(pitches)])
+        line[:, direction] += places_um[:per_line]
+        fits = np.all(line <= end + 1e-6, axis=1)
+        lines.append(line[fits])
     holes = np.concatenate(lines)[: params.count]
     if len(holes) < 4:
         size = " x ".join(f"{v:.0f}" for v in high - low)
@@ -148,11 +168,18 @@ def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
 
 
 def _scattered(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
-    """Holes drawn one after the other, none close to another or to the border."""
+    """Holes drawn one after the other, none close to another or to the border.
+
+    The distances to keep are smaller where the field is: a fifth of its shorter side from the
+    border, and seven tenths of the side of a square that each hole has for itself, but at least 1.4
+    diameters between middles. ValueError where 20 000 places were not enough.
+    """
     rng = generator(seed, "pattern")
-    border = min(_BORDER_UM, 0.2 * float((high - low).min()))
-    inner = np.maximum(high - low - 2 * border, 0.0)
-    spacing_um = min(_APART_UM, 0.7 * float(np.sqrt(inner.prod() / params.count)))
+    size_um = high - low
+    border = min(_BORDER_UM, 0.2 * float(size_um.min()))
+    inner = np.maximum(size_um - 2 * border, 0.0)
+    side_of_hole_um = float(np.sqrt(inner.prod() / params.count))
+    spacing_um = min(_APART_UM, 0.7 * side_of_hole_um)
     spacing_um = max(spacing_um, 1.4 * params.diameter_um)
     centres: list[Floats] = []
     for _ in range(20_000):
@@ -161,7 +188,7 @@ def _scattered(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floa
         point = rng.uniform(low + border, high - border)
         if all(np.hypot(*(point - other)) > spacing_um for other in centres):
             centres.append(point)
-    size = " x ".join(f"{v:.0f}" for v in high - low)
+    size = " x ".join(f"{v:.0f}" for v in size_um)
     raise ValueError(
         f"{params.count} holes of {params.diameter_um:g} um do not fit into {size} um."
     )
@@ -170,12 +197,16 @@ def _scattered(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floa
 def burn(
     params: BurnParams,
     holes: Floats,
-    shape: tuple[int, int],
+    shape: Shape2D,
     low: Pair,
     depth_um: float,
     seed: int,
 ) -> tuple[Singles, Singles]:
-    """Burn the holes into a sheet of mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
+    """Burn the holes into a sheet of mean thickness ``depth_um``: its ``rim_um`` and ``char``.
+
+    ``holes`` (n, 2) are centres (u, v); ``shape`` and ``low`` are the nodes (rows, cols) of the
+    sheet and the (u, v) of the first one. Far from holes the distance to a rim is 1e4 um.
+    """
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
     char = np.ones(shape, dtype=np.float32)
     reach_um = 2.0 * params.diameter_um + 4 * params.char_um
@@ -186,11 +217,13 @@ def burn(
         x = low[0] + PITCH_UM * np.arange(shape[1])[None, cols] - u
         if x.size == 0 or y.size == 0:
             continue
-        top, bottom, burnt_um = _hole(params, x, y, depth_um, generator(seed, "hole", str(k)))
+        rng = generator(seed, "hole", str(k))
+        top, bottom, burnt_um = _hole(params, x, y, depth_um, rng)
         rims = rim[:, rows, cols]
         rims[:] = np.minimum(rims, [top, bottom])
         if burnt_um > 0:
-            burnt = 1 - 0.5 * np.exp(-np.maximum(top, 0) / (0.5 * burnt_um))
+            decay = np.exp(-np.maximum(top, 0) / (0.5 * burnt_um))
+            burnt = 1 - 0.5 * decay
             char[rows, cols] = np.minimum(char[rows, cols], burnt)
     return rim, char
 
@@ -203,15 +236,18 @@ def _nodes_within(reach_um: float, middle_um: float, n: int) -> slice:
 def _hole(
     params: BurnParams, x: Floats, y: Floats, depth_um: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, float]:
-    """Distances to one hole's rim at both faces, around its centre at the top face.
+    """Distances to one hole's rim at top and bottom face, in um, and the width of its burnt rim.
 
-    Width of the burnt rim.
+    At places (x, y) from its centre at the top face; negative inside. The hole is an ellipse with a
+    rough rim; at the bottom face it is narrower (taper), lies aside as the beam is tilted, and may
+    be half closed.
     """
     # Everything is drawn, also what is off: then one switch does not move the others.
     radius = 0.5 * (params.diameter_um + params.diameter_sd_um * rng.standard_normal())
     ratio = np.sqrt(1 + (params.axis_ratio - 1) * rng.random())
     axis_angle, lean_angle, closed_angle = rng.uniform(0, 2 * np.pi, 3)
-    lean_um = np.tan(np.deg2rad(params.tilt_deg * rng.random())) * depth_um
+    tilt = np.deg2rad(params.tilt_deg * rng.random())
+    lean_um = np.tan(tilt) * depth_um
     wave_power = np.exp(-((_ORDERS * _ROUGH_UM / (2 * radius)) ** 2))
     wave_sd_um = params.rim_um * np.sqrt(wave_power / wave_power.sum())
     waves = wave_sd_um[:, None] * rng.standard_normal((_ORDERS.size, 2))
@@ -219,6 +255,7 @@ def _hole(
     is_half_closed = rng.random() < params.half_closed
 
     def distance(x: Floats, y: Floats, radius: float) -> Floats:
+        """Signed distance of places from a rim of this mean radius, in um."""
         # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
         spin: Complexes = np.exp(1j * np.arctan2(y, x))
         harmonic = spin
@@ -235,7 +272,8 @@ def _hole(
     y = y - lean_um * np.sin(lean_angle)
     bottom = distance(x, y, radius * (1 - params.taper))
     if is_half_closed:
-        bottom = np.maximum(bottom, x * np.cos(closed_angle) + y * np.sin(closed_angle))
+        beyond_line = x * np.cos(closed_angle) + y * np.sin(closed_angle)
+        bottom = np.maximum(bottom, beyond_line)
     return top, bottom, burnt_um
 
 
@@ -282,9 +320,10 @@ class DrawnSheet:
 
         The same rule that the renderer uses.
         """
-        x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)
-        y = np.clip((v - self.origin[1]) / PITCH_UM, 0.0, field.shape[0] - 1.000001)
-        return bilinear(field, y, x)
+        last_y, last_x = np.subtract(field.shape, 1.000001)
+        x = (u - self.origin[0]) / PITCH_UM
+        y = (v - self.origin[1]) / PITCH_UM
+        return bilinear(field, np.clip(y, 0.0, last_y), np.clip(x, 0.0, last_x))
 
     @property
     def has_film(self) -> bool:
@@ -302,13 +341,21 @@ class DrawnSheet:
 
     @cached_property
     def texture(self) -> Field:
-        """Relative density of the base through its depth (LAYERS, rows, cols), bottom to top."""
-        p, shape = self.params, (self.faces.shape[1], self.faces.shape[2])
+        """Relative density of the base through its depth (LAYERS, rows, cols), bottom to top.
+
+        The net of fibres, and grains of filler, of which the middle has more; each layer has random
+        numbers of its own.
+        """
+        p = self.params
+        _, rows, cols = self.faces.shape
+        shape = (rows, cols)
         layers = np.empty((LAYERS, *shape), dtype=np.float32)
         for k in range(LAYERS):
             depth = (k + 0.5) / LAYERS
-            filler_sd = _FILLER_CONTRAST * p.filler * (1.2 - 1.6 * (depth - 0.5) ** 2)
-            for_net, for_filler = (generator(self.seed, name, str(k)) for name in ("net", "filler"))
+            share_of_filler = 1.2 - 1.6 * (depth - 0.5) ** 2  # more of it in the middle
+            filler_sd = _FILLER_CONTRAST * p.filler * share_of_filler
+            for_net = generator(self.seed, "net", str(k))
+            for_filler = generator(self.seed, "filler", str(k))
             net = p.base_density_sd * fibrous(shape, p.anisotropy, for_net, per_mm2=50.0)
             filler = filler_sd * for_filler.standard_normal(shape)
             layers[k] = np.clip(1 + net + filler, 0.2, 2.5)
@@ -362,10 +409,12 @@ def make_sheet(
         middle_um = _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle"))
         fibre_mat = FibreMat(paper, shape, PITCH_UM, middle_um, seed)
         upper_height, lower_height = fibre_mat.calendered()
-        thickness, relief = upper_height + lower_height, 0.5 * (upper_height - lower_height)
+        thickness = upper_height + lower_height
+        relief = 0.5 * (upper_height - lower_height)
     else:
         thickness, relief = _base(paper, shape, seed)
-    mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
+    mass_noise = 0.03 * noise(shape, 500.0, generator(seed, "mass"))
+    mass = thickness / thickness.mean() * (1 + mass_noise)
     mass /= mass.mean()
     faces: list[Floats] = []
     pit_depths: list[Floats | float] = []
@@ -383,22 +432,32 @@ def make_sheet(
         # A nip presses the outer face flat; the coating keeps its thickness and the base gives way.
         outer = outer.mean() + paper.calendering * (outer - outer.mean())
         faces += [outer, outer - coating]
-    depth_um = float(np.mean(faces[0] + faces[2]))
-    rim, char = burn(holes, centres, shape, pair_of(low), depth_um, seed)
-    crack = noise(shape, _CRACK_UM, generator(seed, "cracks")) if crack_um else np.zeros(shape)
-    cracks_um = crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)
-    density = noise(shape, 300.0, generator(seed, "grain"))
-    density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
     top, inner_top, bottom, inner_bottom = faces
-    coatings_um = float(np.mean(top - inner_top)), float(np.mean(bottom - inner_bottom))
+    depth_um = float(np.mean(top + bottom))
+    rim, char = burn(holes, centres, shape, pair_of(low), depth_um, seed)
+    crack = np.zeros(shape)
+    if crack_um:
+        crack = noise(shape, _CRACK_UM, generator(seed, "cracks"))
+    # Open where the noise is beyond one standard deviation, over either face.
+    widths = np.maximum(np.abs(crack) - 1.0, 0.0)
+    cracks_um = crack_um * np.sign(crack) * widths
+    density = noise(shape, 300.0, generator(seed, "grain"))
+    from_mass = 0.3 * (mass - mass.mean()) / mass.std()  # r of 0.3 with the base's mass
+    density = from_mass + np.sqrt(1 - 0.09) * density
+    top_um = float(np.mean(top - inner_top))
+    bottom_um = float(np.mean(bottom - inner_bottom))
     base_um = float(np.mean(inner_top + inner_bottom))
-    neutral_um = neutral_height(base_um, *coatings_um, stiffness)
+    neutral_um = neutral_height(base_um, top_um, bottom_um, stiffness)
     heights = np.stack([top, inner_top, -inner_bottom, -bottom]).astype(np.float32)
-    structure = fibre_mat and fibre_mat.pressed(
-        inner_top - pit_depths[0], -(inner_bottom - pit_depths[1]), neutral_um
-    )
-    if structure is not None and film is not None:
-        structure = structure.on_film(-bottom - neutral_um, film)
+    structure = None
+    if fibre_mat is not None:
+        top_pits, bottom_pits = pit_depths
+        structure = fibre_mat.pressed(
+            inner_top - top_pits, -(inner_bottom - bottom_pits), neutral_um
+        )
+        if film is not None:
+            structure = structure.on_film(-bottom - neutral_um, film)
+    coating_density = 1 + paper.coating_density_sd * density
     return DrawnSheet(
         params=paper,
         seed=seed,
@@ -406,7 +465,7 @@ def make_sheet(
         faces=heights - np.float32(neutral_um),
         rim_um=rim,
         char=char,
-        coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
+        coating_density=coating_density.astype(np.float32),
         base_mass=mass.astype(np.float32),
         crack_um=cracks_um.astype(np.float32),
         holes=centres,
@@ -435,8 +494,11 @@ def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: f
     return 0.5 * stiffness * moment / (base_um + stiffness * (top_um + bottom_um))
 
 
-def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Floats, Floats]:
-    """Return base thickness, and what bends both faces the same way: single fibres in the net."""
+def _base(p: PaperParams, shape: Shape2D, seed: int) -> TwoFields:
+    """Return base thickness, and what bends both faces the same way: single fibres in the net.
+
+    Both (rows, cols) in um. What thickness alone leaves of the roughness of the faces is relief.
+    """
     thickness = np.full(shape, p.base_um)
     thickness += p.base_fibre_sd_um * fibrous(shape, p.anisotropy, generator(seed, "fibres"))
     thickness += p.base_floc_sd_um * noise(shape, _FLOC_UM, generator(seed, "flocs"))
@@ -447,22 +509,33 @@ def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Floats, Fl
     if excess_variance <= 0:
         return thickness, np.zeros(shape)
     # Few fibres lie on top of the others; they stand up and are what a coating leaves bare.
-    rngs = (generator(seed, "face", side) for side in ("top", "bottom"))
-    top, bottom = (fibrous(shape, p.anisotropy, rng, per_mm2=_LOOSE_PER_MM2) for rng in rngs)
-    return thickness, float(np.sqrt(0.5 * excess_variance)) * (top - bottom)
+    fibres_of_faces: list[Floats] = []
+    for side in ("top", "bottom"):
+        rng = generator(seed, "face", side)
+        fibres_of_faces.append(fibrous(shape, p.anisotropy, rng, per_mm2=_LOOSE_PER_MM2))
+    top, bottom = fibres_of_faces
+    relief_sd = float(np.sqrt(0.5 * excess_variance))
+    return thickness, relief_sd * (top - bottom)
 
 
 def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int) -> Floats:
-    """Thickness of one coating layer over the base's face ``inner``, both outwards, in um."""
-    shape = (inner.shape[0], inner.shape[1])
+    """Thickness of one coating layer over the base's face ``inner``, both outwards, in um.
+
+    It levels: its outer face follows long waves of the base alone. Its own noise and random
+    deposition bring its standard deviation to that of the paper.
+    """
+    rows, cols = inner.shape
+    shape = (rows, cols)
     if mean_um == 0:
         return np.zeros(shape)
     coating_change = lowpass(inner, p.levelling_um) - inner
-    coating_change += p.coating_noise_sd_um * noise(shape, 20.0, generator(seed, "coater", side))
+    of_coater = noise(shape, 20.0, generator(seed, "coater", side))
+    coating_change += p.coating_noise_sd_um * of_coater
     excess_variance = p.coating_sd_um**2 - float(coating_change.var())
     if excess_variance > 0:
         # Skewed: a spot can lack more than another can carry too much.
-        spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
+        deposit = noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side))
+        spots = np.exp(0.6 * deposit)
         coating_change -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
     coating = np.maximum(mean_um + coating_change, p.least_coating_um)
     if p.fibres is None:

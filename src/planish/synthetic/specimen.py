@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.labelled import labelled
-from planish.core.typing import Array, Floats, Texts
+from planish.core.typing import Array, Floats, Shape2D, Texts
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.flatbed import FlatbedScan, scan_flatbed
 from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
@@ -46,14 +46,16 @@ class Specimen:
     sheet: DrawnSheet
     pose: CameraPose  #: from (u, v) to the image
     extent_um: tuple[float, float, float]  #: of the volume along x, y, z
-    image_shape: tuple[int, int]
+    image_shape: Shape2D
     #: where the files of its instruments are, if they were written.
     files: InstrumentFiles | None = None
 
     def __repr__(self) -> str:
         """Sizes of sheet, volume and image."""
-        (x, y, _), p = self.extent_um, self.params
-        shape, pixels = (" x ".join(map(str, n)) for n in (self.scanner.shape, self.image_shape))
+        x, y, _ = self.extent_um
+        p = self.params
+        shape = " x ".join(map(str, self.scanner.shape))
+        pixels = " x ".join(map(str, self.image_shape))
         return (
             f"Specimen({x / 1000:g} x {y / 1000:g} mm, seed {p.seed}; volume of {shape} voxels (z,"
             f" y, x) of {p.scanner.voxel_um:g} um; image of {pixels} pixels of"
@@ -65,7 +67,8 @@ class Specimen:
         """The micro-CT scanner that holds the specimen."""
         voxel_um = self.params.scanner.voxel_um
         x, y, z = self.extent_um
-        shape = (int(np.ceil(z / voxel_um)) + 1, round(y / voxel_um), round(x / voxel_um))
+        depth = int(np.ceil(z / voxel_um)) + 1
+        shape = (depth, round(y / voxel_um), round(x / voxel_um))
         return Scanner(
             sheet=self.sheet,
             warp=self.warp,
@@ -84,7 +87,8 @@ class Specimen:
         """The microtome that cuts the specimen up."""
         pixel = self.params.sections.pixel_um
         width_um, _, depth_um = self.extent_um
-        shape = (int(np.ceil(depth_um / pixel)) + 1, round(width_um / pixel))
+        rows = int(np.ceil(depth_um / pixel)) + 1
+        shape = (rows, round(width_um / pixel))
         return Microtome(
             sheet=self.sheet,
             warp=self.warp,
@@ -102,7 +106,9 @@ class Specimen:
         """
         voxel = self.params.scanner.voxel_um
         values = self.scanner.volume()
-        is_integer = values.dtype.kind == "u"
+        full_scale: float | None = None
+        if values.dtype.kind == "u":
+            full_scale = float(np.iinfo(self.params.scanner.dtype).max)
         return _labelled(
             values,
             ("z", "y", "x"),
@@ -110,7 +116,7 @@ class Specimen:
             long_name="Grey value",
             voxel_um=[voxel] * 3,
             voxel_um_source="synthetic",
-            full_scale=float(np.iinfo(self.params.scanner.dtype).max) if is_integer else None,
+            full_scale=full_scale,
             file_bytes=values.nbytes,
         )
 
@@ -129,8 +135,12 @@ class Specimen:
 
     @cached_property
     def flatbed(self) -> FlatbedScan:
-        """The top side under an office scanner; :attr:`pose` leads to the picture it scans."""
+        """The top side under an office scanner; :attr:`pose` leads to the picture it scans.
+
+        The picture is as large as the camera's image, on pixels as wide as the nodes of the sheet.
+        """
         p = self.params
+        # In even light, as sharp as the sheet's grid is.
         off = dict.fromkeys(("shading", "vignetting", "lens_um", "noise"), 0.0)
         even = replace(p.camera, pixel_um=PITCH_UM, bits=16, **off)
         shape = np.array(self.image_shape) * p.camera.pixel_um / PITCH_UM
@@ -175,18 +185,18 @@ class Specimen:
         sheet = self.sheet
         points = self.warp.points(u, v)
         top, inner_top, inner_bottom, bottom = (sheet.at(face, u, v) for face in sheet.faces)
+        places = {f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")}
         values = {
             "u": u,
             "v": v,
-            **{f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")},
+            **places,
             "coating_top": top - inner_top,
             "coating_bottom": inner_bottom - bottom,
             "base_thickness": inner_top - inner_bottom,
             "thickness": top - bottom,
             "rim": sheet.at(sheet.rim_um[0], u, v),
         }
-        y, x = (np.arange(n, dtype=np.float64) * pixel for n in self.image_shape)
-        return _maps_um(values, y, x)
+        return _maps_um(values, pixel)
 
     @cached_property
     def columns(self) -> xr.Dataset:
@@ -194,12 +204,17 @@ class Specimen:
         voxel_um = self.params.scanner.voxel_um
         y, x = (np.arange(n, dtype=np.float64) * voxel_um for n in self.scanner.shape[1:])
         u, v, centre = np.moveaxis(self.warp.columns(y, x), -1, 0)
-        return _maps_um({"u": u, "v": v, "centre": centre}, y, x)
+        return _maps_um({"u": u, "v": v, "centre": centre}, voxel_um)
 
 
-def _maps_um(values: Mapping[str, Floats], y: Floats, x: Floats) -> xr.Dataset:
-    maps = {name: (("y", "x"), field, {"units": "um"}) for name, field in values.items()}
-    return xr.Dataset(maps, coords={"y": y, "x": x})
+def _maps_um(values: Mapping[str, Floats], pitch_um: float) -> xr.Dataset:
+    """Maps (rows, cols) in um, whose rows and columns begin at 0."""
+    maps = xr.Dataset()
+    for name, field in values.items():
+        maps[name] = ("y", "x"), field, {"units": "um"}
+    for dim, n in maps.sizes.items():
+        maps.coords[dim] = pitch_um * np.arange(n)
+    return maps
 
 
 def _labelled(values: Array, dims: Texts, pitch_um: float, **attrs: Any) -> xr.DataArray:
