@@ -64,7 +64,8 @@ def attenuation_limit(
     errors = values_of(error_um, "error_um").astype(np.float64)
     if errors.shape == is_valid.shape:
         errors = errors[is_valid & np.isfinite(errors)]
-    if not errors.size or not (np.isfinite(errors) & (errors >= 0)).all():
+    are_lengths = np.isfinite(errors) & (errors >= 0)
+    if not (errors.size and are_lengths.all()):
         raise InputError(
             "The error of the places is not known. Give a number of um from 0 on, or a map of it."
         )
@@ -133,5 +134,6 @@ def _errors_of_places(pair: ComparedMaps) -> Floats:
     if not error_maps:
         return np.empty(0)
     thinned_maps = [thinned(m)[1][0] for m in error_maps]
-    errors_um = np.linalg.norm(np.array(thinned_maps, dtype=np.float64), axis=0)
+    errors = np.array(thinned_maps, dtype=np.float64)
+    errors_um = np.linalg.norm(errors, axis=0)
     return errors_um[np.isfinite(errors_um)]

@@ -227,7 +227,8 @@ def _agreement(sums: PairSums, units: str) -> Entries:
 def _with_p_of_table(rows: Sequence[CorrelationRow]) -> list[CorrelationRow]:
     """Correct p for the number of properties at each point size; negative controls count alone."""
     controls = [row.a_map if row.negative_control else "" for row in rows]
-    families = grouped(range(len(rows)), lambda k: (rows[k].point_um, controls[k]))
+    sizes_um = [row.point_um for row in rows]
+    families = grouped(range(len(rows)), lambda k: (sizes_um[k], controls[k]))
     corrected = [*rows]
     for indices in families.values():
         p_of_family = holm([rows[k].p for k in indices])
@@ -287,9 +288,8 @@ def comparison_rows(
     variant_of_run = _Variant(f"flattened, {fit.model}", fit.rms_um, None)
     variants = [*_variants(sheet, fit), variant_of_run]
     sums = _empty_sums(grid, point_um, len(variants))
-    for rows, (linked_map, is_valid, image) in read_bands(
-        linked[name], linked["valid"], linked["image"]
-    ):
+    maps = [linked[key] for key in (name, "valid", "image")]
+    for rows, (linked_map, is_valid, image) in read_bands(*maps):
         part = grid.part(rows)
         placed = [variant.bring(sheet_map, linked_map, part) for variant in variants]
         # Rows that are compared are of the same pixels.
@@ -324,7 +324,8 @@ def _rows_with_maps(sums: PairAtSizes, point_um: float, *, light_off: bool) -> l
     """The correlations of all sizes."""
     (pixel, _), (points, _) = _sizes(sums, light_off=light_off)
     (x, y), cell_um = sums.cells()
-    return [_RowWithMaps(pixel, (x, y), cell_um), _RowWithMaps(points, sums.points(), point_um)]
+    of_pixel = _RowWithMaps(pixel, (x, y), cell_um)
+    return [of_pixel, _RowWithMaps(points, sums.points(), point_um)]
 
 
 def _change(row: _RowWithMaps, row_of_run: _RowWithMaps) -> Entries:

@@ -160,7 +160,8 @@ class PairSums:
     @property
     def variances(self) -> Pair:
         """Of x and of y."""
-        return pair_of(np.diag(self._square)[:2] / max(self.n, 1))
+        squares = np.diag(self._square)[:2]
+        return pair_of(squares / max(self.n, 1))
 
     @property
     def constant(self) -> list[bool]:
@@ -363,8 +364,10 @@ def _check_map(name: str, values: Any, like: Rows) -> None:
 
 def _lie_alike(a: xr.DataArray, b: xr.DataArray) -> bool:
     """Whether two maps have the same axes, and the same coordinates where both have some."""
+    if a.dims != b.dims:
+        return False
     shared_axes = [k for k in a.dims if k in a.coords and k in b.coords]
-    return a.dims == b.dims and all(np.allclose(a[k], b[k]) for k in shared_axes)
+    return all(np.allclose(a[k], b[k]) for k in shared_axes)
 
 
 def _pair_um(pixel_um: Pixel) -> Pair:
@@ -546,7 +549,8 @@ def _stated(
                 warnings.append(
                     f"{100 * share:.0f} % of the points of {which.lower()} map have the same value."
                 )
-    fields |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
+    mean_a, mean_b = sums.means
+    fields |= {"rho": rho, "mean_a": mean_a, "mean_b": mean_b}
     fields |= _certainty(sums, cells, pitch_um, warnings)
     return Correlation(**fields, warnings=tuple(warnings))
 

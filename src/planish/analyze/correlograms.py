@@ -89,7 +89,8 @@ def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
     middle = lags_um.size // 2
     step = math.ceil(middle / 40)
     thinning = slice(middle % step, None, step)
-    lags, r, limit, of_any = (tuple(values[thinning].tolist()) for values in (lags_um, *along))
+    thinned = [values[thinning] for values in (lags_um, *along)]
+    lags, r, limit, of_any = (tuple(values.tolist()) for values in thinned)
     return LagProfile(lags_um=lags, r=r, limit=limit, limit_of_any=of_any)
 
 
@@ -142,8 +143,10 @@ def cross_correlogram(
             f"The reach is {reach_um:g} um, a pixel {max(pixel):g} um. Give a reach of a pixel or"
             " more."
         )
-    valid = np.isfinite(a), np.isfinite(b)
-    return correlogram_of((a, b), valid, Lags(valid[0] & valid[1], pixel), reach_um=reach_um)
+    a_valid = np.isfinite(a)
+    b_valid = np.isfinite(b)
+    lags = Lags(a_valid & b_valid, pixel)
+    return correlogram_of((a, b), (a_valid, b_valid), lags, reach_um=reach_um)
 
 
 def correlogram_of(
@@ -253,7 +256,8 @@ def _widths(height: Floats, summit: Floats, pixel: Pair) -> tuple[Pair, float]:
     directions = np.stack([np.sin(angles), np.cos(angles)])  # along y and x, in um
     n_steps = int(math.hypot(*height.shape) / 0.25)
     steps = np.arange(n_steps) * 0.25 * min(pixel)
-    steps_px = directions[:, :, None] * steps / np.reshape(pixel, (2, 1, 1))
+    steps_um = directions[:, :, None] * steps
+    steps_px = steps_um / np.reshape(pixel, (2, 1, 1))
     places = summit[:, None, None] + steps_px
     ray_heights = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
     ray_heights[:, 0] = 1.0

@@ -313,7 +313,8 @@ class _Cells:
         """The model over these cells; CannotMeasure where there can be none."""
         if self.fault:
             raise CannotMeasure(f"{self.fault} Look at the masks, or give smaller cells.")
-        return regress(self.maps[0], self.maps[1:], self.lags, errors)
+        response, *predictors = self.maps
+        return regress(response, predictors, self.lags, errors)
 
     def ranked(self) -> _Cells:
         """The same with ranks in the place of all quantities; shares of a factor stay."""
@@ -558,5 +559,6 @@ def _dataset(cells: _Cells, model: Regression, grid: Grid) -> xr.Dataset:
     dataset = xr.Dataset(coords={"cell_y": places.y_um, "cell_x": places.x_um})
     for column, m in zip(columns, values, strict=True):
         of_cells = np.where(is_valid, m, np.nan)
-        dataset[column.name] = (("cell_y", "cell_x"), of_cells, {"units": column.units})
+        attrs = {"units": column.units}
+        dataset[column.name] = (("cell_y", "cell_x"), of_cells, attrs)
     return dataset

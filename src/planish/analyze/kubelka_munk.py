@@ -231,7 +231,8 @@ class _Fit:
         s = 1.0
         if abs(slope_of_s) > 1e-3:
             s = slope / slope_of_s
-        start = np.clip([s, y_mean - slope], [0.01, 0.01], [100.0, 0.99])
+        backing = y_mean - slope
+        start = np.clip([s, backing], [0.01, 0.01], [100.0, 0.99])
         best = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
         return pair_of(best)
 

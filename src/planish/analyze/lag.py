@@ -249,7 +249,8 @@ class Lag:
             tile_um = field.tile_um
             rows = zip(field.at_um, field.lag_um, field.distinct, strict=True)
             for (x, y), lag, distinct in rows:
-                tiles.append(LagTile(x=x, y=y, lag_um=pair_of(lag), distinct=distinct))
+                tile = LagTile(x=x, y=y, lag_um=pair_of(lag), distinct=distinct)
+                tiles.append(tile)
         of_run: Entries = {
             "property": property_name,
             "agrees": self.agrees(expected_um),

@@ -110,7 +110,8 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
     grey_mean = b[is_valid].mean()
     x = a[is_valid] - a[is_valid].mean()
     y = b[is_valid] - grey_mean
-    side = min(np.count_nonzero(is_valid.any(axis=axis)) for axis in (0, 1))
+    known_lines = [is_valid.any(axis=axis) for axis in (0, 1)]
+    side = min(map(np.count_nonzero, known_lines))
     if x.size < 3 * _TERMS or side < _LEAST_SIDE:
         raise CannotMeasure(
             f"{x.size} points, {side} along the shorter side, are too few for a field of {_TERMS}"
@@ -175,7 +176,8 @@ def fit_light(a: Floats, b: Floats, grid: Grid, point_um: float) -> QuadraticFie
     """
     _, field = light_field(a, b, point_um=point_um)
     is_valid = np.isfinite(field)
-    weights = np.linalg.lstsq(terms_of_points(is_valid), field[is_valid], rcond=None)[0]
+    terms = terms_of_points(is_valid)
+    weights = np.linalg.lstsq(terms, field[is_valid], rcond=None)[0]
     points = points_of(grid, a.shape, point_um)
     return QuadraticField(weights=np.asarray(weights, dtype=np.float64), points=points)
 

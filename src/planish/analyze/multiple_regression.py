@@ -58,7 +58,8 @@ class Regression:
     @property
     def p(self) -> Floats:
         """Probability of such a coefficient where the true one is 0, (k,)."""
-        return 2 * special.stdtr(self.free, -np.abs(self.plain / self.standard_errors))
+        t = self.plain / self.standard_errors
+        return 2 * special.stdtr(self.free, -np.abs(t))
 
     @property
     def freed(self) -> Floats:
@@ -184,7 +185,8 @@ def _error_of_mean(weight: Floats, fit: Regression) -> Pair:
     free = n_eff - fit.plain.size - 1
     if not free > 0:
         return math.nan, n_eff
-    mean_squares = [np.mean(values[is_valid] ** 2) for values in (weight, fit.residuals)]
+    cells = [values[is_valid] for values in (weight, fit.residuals)]
+    mean_squares = [np.mean(values**2) for values in cells]
     return math.sqrt(math.prod(mean_squares) / free), n_eff
 
 

@@ -158,7 +158,8 @@ class Waves:
         self.joined = is_valid.size * share_of_modes
         side_um = shorter_side_um(is_valid.shape, pixel_um)
         self.resolution = math.sqrt(self.joined) / side_um
-        self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
+        rings = np.rint(self.frequency / self.resolution)
+        self.ring: Ints = rings.astype(np.intp)
         ring_numbers = self.ring.ravel()
         squares = [np.abs(spectrum.ravel()) ** 2 for spectrum in self.spectra]
         powers = [np.bincount(ring_numbers, weights=square) for square in squares]
@@ -176,14 +177,16 @@ def window_of(is_valid: Bools) -> Floats:
     """Window that is 1 inside and falls to 0 towards the edge of the field and of missing parts."""
     width = max(0.2 * min(is_valid.shape) / 2, 1.0)  # a fifth of the field (Tukey)
     padded = np.pad(is_valid, 1)
-    distance = np.asarray(ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
-    depth = np.minimum(distance / width, 1.0)  # 0 where a pixel is missing
+    distance = np.asarray(ndimage.distance_transform_edt(padded))
+    inner = distance[1:-1, 1:-1]
+    depth = np.minimum(inner / width, 1.0)  # 0 where a pixel is missing
     return np.sin(math.pi / 2 * depth) ** 2
 
 
 def spectrum_of(values: Array, is_valid: Bools, window: Floats) -> Complexes:
     """Half of the Fourier transform (``rfft2``) of a windowed map without its trend and mean."""
-    flat = without_trend(np.where(is_valid, values, 0.0).astype(np.float64), is_valid)
+    filled_values = np.where(is_valid, values, 0.0)
+    flat = without_trend(filled_values.astype(np.float64), is_valid)
     weighted = window * flat
     mean = weighted.sum() / max(window.sum(), 1e-300)
     return np.asarray(fft.rfft2(weighted - mean * window))

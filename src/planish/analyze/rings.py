@@ -94,7 +94,8 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
         raise CannotMeasure(
             f"The field holds {last} rings of frequency, 3 are needed. Give a larger map."
         )
-    inside = half_plane(is_valid.shape) & (waves.ring >= 1) & (waves.ring <= last)
+    inside = half_plane(is_valid.shape)
+    inside &= (waves.ring >= 1) & (waves.ring <= last)
     ring_numbers = waves.ring[inside]
 
     def sums(values: Array) -> Floats:

@@ -99,7 +99,8 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x = np.where(is_valid, a, np.nan)
     quarters_um = np.arange(4) * point_um / 4
-    starts = (np.unique(np.rint(quarters_um / step)).astype(int) for step in pixel)
+    steps_px = [np.rint(quarters_um / step) for step in pixel]
+    starts = [np.unique(steps).astype(int) for steps in steps_px]
     known_r: list[float] = []
     for down, across in product(*starts):
         part = np.s_[down:, across:]
@@ -344,7 +345,8 @@ def answer_partial(pair: ComparedMaps) -> Entries:
         reason = f"Points of {point_um:g} um are smaller than a pixel."
         return {"partial": partial_of(reason=reason)}
     names = (pair.a[1], *covariates)
-    maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]
+    maps = [sheet_maps[name] for name in names]
+    maps.append(image_maps[pair.b[1]])
     masks = (sheet_maps["valid"], image_maps["valid"])
     *sheet_points, image_points = common_means(maps, factor, masks=masks)
     is_valid = np.isfinite(image_points)

@@ -147,7 +147,8 @@ def half_points(
         part = columns.part(slice(first, rows.stop + 2))
         values, alone = part.values(name)
         of_band = slice(before, rows.stop - first)
-        halves = [_half(values, parity)[of_band].ravel() for parity in (1, 0)]
+        half_maps = [_half(values, parity) for parity in (1, 0)]
+        halves = [half_map[of_band].ravel() for half_map in half_maps]
         u, v = (part.flat[axis].values[of_band].ravel() for axis in "uv")
         x = turn[0, 0] * u + turn[0, 1] * v + shift_um[0]
         y = turn[1, 0] * u + turn[1, 1] * v + shift_um[1]

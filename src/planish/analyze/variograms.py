@@ -156,8 +156,9 @@ def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> TwoFields:
     is_counted &= ring >= 1
     is_counted &= lags.distance_um <= side_um / 2
     ring_numbers = ring[is_counted]
-    maps = (lags.pairs, lags.pairs * lags.distance_um, products)
-    sums = np.array([np.bincount(ring_numbers, weights=m[is_counted]) for m in maps])
+    maps = np.stack([lags.pairs, lags.pairs * lags.distance_um, products])
+    counted = maps[:, is_counted]
+    sums = np.array([np.bincount(ring_numbers, weights=row) for row in counted])
     pairs, distance_sums, totals = sums[:, sums[0] > 0]
     return distance_sums / pairs, totals / pairs
 
@@ -216,14 +217,16 @@ def answer_variograms(pair: ComparedMaps) -> Entries:
     other at short distances.
     """
     curves: list[Variogram] = []
-    maps = zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True)
+    fields = (pair.x, pair.y)
+    maps = zip(fields, (pair.a, pair.b), pair.units, strict=True)
     for values, (layer, name), units in maps:
         try:
             curve = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
-        rings = np.geomspace(1, len(curve.values), 60).round().astype(np.intp)
-        thinned = itemgetter(*(np.unique(rings) - 1))
+        rings = np.geomspace(1, len(curve.values), 60).round()
+        numbers = np.unique(rings.astype(np.intp))
+        thinned = itemgetter(*(numbers - 1))
         distances_um = thinned(curve.distances_um)
         row = Variogram.holding(
             curve,

@@ -124,7 +124,8 @@ class Structure:
             if top:
                 crossing = n_cells - crossing
             height = crossing * self.cell_um + self.low_um
-            face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)
+            has_face = is_face.any(axis=2)
+            face[start:stop] = np.where(has_face, height, np.nan)
         return face
 
 

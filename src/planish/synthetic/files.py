@@ -186,7 +186,8 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
     Path; the one given
     """
     reflectance = (specimen.printed if printed else specimen.image).values
-    grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
+    rounded = np.rint(reflectance * 65535)
+    grey = np.clip(rounded, 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
     size = _per_cm(pixel)
     if path.name.endswith(".ome.tif"):
@@ -266,7 +267,8 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     image_xy = specimen.pose(holes)
     volume_xyz = specimen.warp.points(holes[:, 0], holes[:, 1])
     names = ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um")
-    _table(folder / "holes.csv", names, np.concatenate([holes, image_xy, volume_xyz], axis=1))
+    rows = np.concatenate([holes, image_xy, volume_xyz], axis=1)
+    _table(folder / "holes.csv", names, rows)
     poses = specimen.poses
     names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
     of_sections = [getattr(poses, name) for name in names]

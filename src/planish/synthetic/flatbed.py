@@ -165,7 +165,8 @@ def _area_means(picture: Floats, middles: Floats, width: float) -> Floats:
     sums = running_sums(picture.T).T
     edges = np.stack([middles - 0.5 * width, middles + 0.5 * width]) + 0.5
     whole = np.clip(edges.astype(int), 0, len(picture) - 1)
-    low, high = sums[whole] + (edges - whole)[..., None] * picture[whole]
+    parts = (edges - whole)[..., None] * picture[whole]
+    low, high = sums[whole] + parts
     return (high - low) / width
 
 
@@ -175,7 +176,8 @@ def _stored(coded: Floats, params: FlatbedParams) -> NDArray[np.generic]:
     (rows, columns, channels); 16 bits are 0 to 65535, for which 257 is 65535 / 255, and no JPEG.
     """
     if params.bits == 16:
-        return np.clip(np.rint(257.0 * coded), 0, 65535).astype(np.uint16)
+        rounded = np.rint(257.0 * coded)
+        return np.clip(rounded, 0, 65535).astype(np.uint16)
     values = np.clip(np.rint(coded), 0, 255).astype(np.uint8)
     if params.quality is None:
         return values

@@ -156,7 +156,8 @@ class Scanner:
         """Return the volume (z, y, x)."""
         out = np.empty(self.shape, dtype=self.params.dtype)
         for start, tile in self.tiles(tile_rows=tile_rows):
-            out[:, start : start + tile.shape[0]] = tile.transpose(2, 0, 1)
+            stop = start + tile.shape[0]
+            out[:, start:stop] = tile.transpose(2, 0, 1)
         return out
 
     def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
@@ -300,7 +301,8 @@ class Scanner:
             white = rng.standard_normal(shape, dtype=np.float32)
             lines = smooth(white, taps, (2,))[0] / noise_gain(taps)
             j = knot_position.astype(int)
-            return _faded(lines[j], lines[j + 1], (knot_position % 1)[:, None])
+            beyond = (knot_position % 1)[:, None]
+            return _faded(lines[j], lines[j + 1], beyond)
 
         first_knot = start // _STREAK_ROWS
         last_knot = (stop - 1) // _STREAK_ROWS + 1
@@ -510,4 +512,5 @@ def _between(knots: Slab, count: int) -> Slab:
     knot_position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
     k = knot_position.astype(int)
     f = (knot_position - k)[:, None].astype(np.float32)
-    return (knots[k] * (1 - f) + knots[k + 1] * f).astype(np.float32)
+    between = knots[k] * (1 - f) + knots[k + 1] * f
+    return between.astype(np.float32)

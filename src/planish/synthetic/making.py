@@ -83,8 +83,9 @@ def make_specimen(
     field_uv = np.concatenate([seen_low, seen_high])
     image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
     height_um, width_um = np.multiply(image_shape, params.camera.pixel_um)
-    frame_um = grid_points(np.array([0.0, width_um]), np.array([0.0, height_um]))
-    corners = pose.inverse(frame_um)
+    ends_x = np.array([0.0, width_um])
+    ends_y = np.array([0.0, height_um])
+    corners = pose.inverse(grid_points(ends_x, ends_y))
     # The sheet reaches beyond what volume and image show.
     low = np.minimum(seen_low, corners.min(axis=(0, 1))) - _BEYOND_UM
     high = np.maximum(seen_high, corners.max(axis=(0, 1))) + _BEYOND_UM

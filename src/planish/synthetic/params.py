@@ -58,7 +58,8 @@ def drawn(default: Any, low: float = 0.0, high: float = 0.0, *, of: tuple[Any, .
 
     A value is drawn evenly between two numbers (whole ones where both are), or is one ``of``.
     """
-    return field(default=default, metadata={"range": of or (low, high), "choice": bool(of)})
+    metadata = {"range": of or (low, high), "choice": bool(of)}
+    return field(default=default, metadata=metadata)
 
 
 def draw_params(params: Any) -> Any:

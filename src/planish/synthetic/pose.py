@@ -57,7 +57,8 @@ class CameraPose:
         centre = np.array(self.centre_um)
         offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:
-            radius = np.hypot(offset[..., 0], offset[..., 1]) / self.half_diagonal_um
+            radius_um = np.hypot(offset[..., 0], offset[..., 1])
+            radius = radius_um / self.half_diagonal_um
             offset = offset * self._shrink(radius)[..., None]
         stretched = self.similarity.inverse(offset + centre)
         return middle + (stretched - middle) / self._strain()

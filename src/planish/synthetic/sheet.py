@@ -57,7 +57,8 @@ def fibres(shape: Shape2D, per_mm2: float, anisotropy: float, rng: np.random.Gen
     ``anisotropy``: number along u over across, by von Mises' angles. Fibres begin up to half of the
     longest one outside of the field, and are 8 at least.
     """
-    count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
+    per_pitch2 = per_mm2 * shape[0] * shape[1]
+    count = max(int(per_pitch2 * PITCH_UM**2 * 1e-6), 8)
     (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
     margin = 0.5 * longest / PITCH_UM
@@ -229,7 +230,8 @@ def burn(
 
 
 def _nodes_within(reach_um: float, middle_um: float, n: int) -> slice:
-    first, last = (int((middle_um + d) / PITCH_UM) for d in (-reach_um, reach_um))
+    first = int((middle_um - reach_um) / PITCH_UM)
+    last = int((middle_um + reach_um) / PITCH_UM)
     return slice(max(first, 0), min(last, n))
 
 
@@ -320,10 +322,11 @@ class DrawnSheet:
 
         The same rule that the renderer uses.
         """
-        last_y, last_x = np.subtract(field.shape, 1.000001)
-        x = (u - self.origin[0]) / PITCH_UM
-        y = (v - self.origin[1]) / PITCH_UM
-        return bilinear(field, np.clip(y, 0.0, last_y), np.clip(x, 0.0, last_x))
+        last_row, last_col = np.subtract(field.shape, 1.000001)
+        col = (u - self.origin[0]) / PITCH_UM
+        row = (v - self.origin[1]) / PITCH_UM
+        row = np.clip(row, 0.0, last_row)
+        return bilinear(field, row, np.clip(col, 0.0, last_col))
 
     @property
     def has_film(self) -> bool:
