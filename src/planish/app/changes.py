@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter
 from planish.core.errors import InputError
 from planish.core.tables import naming_faults
 from planish.core.text import printable
-from planish.core.typing import Entries
+from planish.core.typing import Entries, Pair
 from planish.marks.exchange.json_marks import Label, Source
 from planish.marks.exchange.lists import MOST_MARKS, Part
 from planish.marks.regions.model import LONGEST_TEXT
@@ -53,7 +53,7 @@ class End(Part):
     arc_coverage: float | None = None
 
     @property
-    def xy(self) -> tuple[float, float]:
+    def xy(self) -> Pair:
         """The place, in um."""
         return self.x, self.y
 

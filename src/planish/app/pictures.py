@@ -31,7 +31,7 @@ from planish.core.grid import Grid
 from planish.core.labelled import variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import TILE_BYTES
-from planish.core.typing import Array, Ints, Singles, Window
+from planish.core.typing import Array, Ints, Shape2D, Singles, Window
 from planish.io import ImageParams, fingerprint
 from planish.io.image import across, channel_of
 from planish.io.light import read_corrected
@@ -245,7 +245,7 @@ class _ImageValues(LazyArray):
     Decoded when a window is read for the first time, where the file is not mapped.
     """
 
-    def __init__(self, params: ImageParams, shape: tuple[int, int]) -> None:
+    def __init__(self, params: ImageParams, shape: Shape2D) -> None:
         self._params = params
         self.shape = shape
         self.dtype = np.dtype(np.float32)

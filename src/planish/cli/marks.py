@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 _UNITS = click.Choice(["um", "mm", "pixel"])
-_PAIR = tuple[float, float]
+_PAIR = Pair
 _SIZES = Value(Annotated[tuple[float, ...], Field(min_length=1, max_length=3)], "SIZE|Y,X|Z,Y,X")
 _ORIGIN = Value(_PAIR, "X,Y")
 _BY_NAME = ", ".join(

@@ -27,14 +27,17 @@ def rolled(height, pitch_um, radius_um):
 def _lower(f, a, out, at, edge):
     """out[x] = min over y of f[y] + a (x - y)^2, the lower envelope of parabolas.
 
-    Inf counts for nothing.
+    ``f`` and ``out`` are (n,) in um, ``a`` in um per squared node; inf counts for nothing. ``at``
+    and ``edge``, (n,), are room to work: the node of each parabola that is part of the envelope,
+    and from which x on it is.
     """
     n = f.size
-    k = -1
+    k = -1  # the last parabola of the envelope of those up to y
     for y in range(n):
         if not np.isfinite(f[y]):
             continue
         cut = -np.inf
+        # From the cut with it on, the new parabola is lower; one that begins behind is nowhere.
         while k >= 0:
             v = at[k]
             cut = ((f[y] + a * y * y) - (f[v] + a * v * v)) / (2 * a * (y - v))
@@ -60,7 +63,9 @@ def _lower(f, a, out, at, edge):
 def _lowest(field, first, second):
     """Minimum over all nodes of height plus a paraboloid that rises by first i^2 + second j^2.
 
-    Inf is nothing.
+    ``field`` is (rows, cols) in um, ``i`` and ``j`` count rows and columns from the paraboloid's
+    middle. Inf is nothing. The paraboloid is a sum, and so the minimum is one along each row and
+    then one along each column.
     """
     rows, cols = field.shape
     half = np.empty(field.shape)

@@ -11,7 +11,11 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def halve_values(values, out):
-    """Means over the pixels that are finite; NaN where none is."""
+    """Means over the pixels that are finite; NaN where none is.
+
+    ``values`` (rows, cols), ``out`` half as many of each, rounded up: the last row or column of an
+    odd number stands alone.
+    """
     # Without loops over the four, what is done for each pixel has no branch: this is seven times as
     # fast.
     rows, cols = values.shape
@@ -46,7 +50,7 @@ def halve_values(values, out):
 
 @njit(cache=True, nogil=True)
 def halve_truth(values, out):
-    """Whether half of the pixels are true."""
+    """Whether half of the pixels are true; shapes as of :func:`halve_values`."""
     rows, cols = values.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -61,9 +65,10 @@ def halve_truth(values, out):
 
 @njit(cache=True, nogil=True)
 def halve_voxels(values, out, whole):
-    """Means of 2 x 2 x 2 voxels into ``out``, exact to 32 bits, halves up.
+    """Means of 2 x 2 x 2 voxels into ``out``, exact to 32 bits, halves up where ``whole``.
 
-    The last voxel of odd ends counts twice.
+    ``values`` (z, y, x), ``out`` half as long along each axis, rounded up. The last voxel of odd
+    ends counts twice.
     """
     depth, rows, cols = values.shape
     for k in range(out.shape[0]):

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from planish.core.axial import angle_of, axial_angle, summable, summable_of
 from planish.core.bands import Rows, read_bands
-from planish.core.typing import Array, Bools, Floats, Pair, Shape
+from planish.core.typing import Array, Bools, Floats, Pair, Shape, Shape2D
 
 
 class AreaMeans:
@@ -20,33 +20,38 @@ class AreaMeans:
 
     Some rows of the maps are added at a time.
 
-    Every pixel counts with the share of its area that lies in the cell. Cells start at the border
-    of the first pixel; an incomplete last one is dropped. A cell is NaN unless at least
+    ``shape`` is that of the maps; ``factor`` height and width of a cell in pixels, which need not
+    be whole. Every pixel counts with the share of its area that lies in the cell. Cells start at
+    the border of the first pixel; an incomplete last one is dropped. A cell is NaN unless at least
     ``least_share`` of its area is known.
     """
 
-    def __init__(self, shape: tuple[int, int], factor: Pair, *, least_share: float = 0.5) -> None:
-        self._row_overlap, self._col_overlap = (
-            _overlap(n, f) for n, f in zip(shape, factor, strict=True)
-        )
+    def __init__(self, shape: Shape2D, factor: Pair, *, least_share: float = 0.5) -> None:
+        self._row_overlap = _overlap(shape[0], factor[0])
+        self._col_overlap = _overlap(shape[1], factor[1])
         self._is_identity = factor == (1, 1)  # a cell is a pixel
-        self._least_weight = least_share * factor[0] * factor[1] - 1e-9
+        self._least_weight = least_share * factor[0] * factor[1] - 1e-9  # for what is rounded
         self._weight = np.zeros((self._row_overlap.shape[0], self._col_overlap.shape[0]))
         self._totals: list[Floats] = []
 
     def add(self, first_row: int, is_known: Bools, *maps: Array) -> None:
-        """Add the rows from ``first_row`` on of maps, which count where ``is_known``."""
-        self._totals = self._totals or [
-            np.zeros(self._weight.shape, np.result_type(np.float64, m)) for m in maps
-        ]
+        """Add the rows from ``first_row`` on of maps, which count where ``is_known``.
+
+        ``is_known`` and the maps are (some rows, cols); complex maps have complex means.
+        """
+        if not self._totals:
+            dtypes = [np.result_type(np.float64, values) for values in maps]
+            self._totals = [np.zeros(self._weight.shape, dtype) for dtype in dtypes]
         row_overlap = self._row_overlap[:, first_row : first_row + is_known.shape[0]]
+        # Rows of cells that overlap these rows of pixels.
         touched_cells = np.flatnonzero(np.diff(row_overlap.indptr))
         if not touched_cells.size:
             return
         cells = slice(touched_cells[0], touched_cells[-1] + 1)
-        self._weight[cells] += self._summed(row_overlap[cells], is_known.astype(np.float64))
+        cell_overlap = row_overlap[cells]
+        self._weight[cells] += self._summed(cell_overlap, is_known.astype(np.float64))
         for total, values in zip(self._totals, maps, strict=True):
-            total[cells] += self._summed(row_overlap[cells], np.where(is_known, values, 0.0))
+            total[cells] += self._summed(cell_overlap, np.where(is_known, values, 0.0))
 
     def means(self) -> list[Floats]:
         """The means of each map; angles where what ``summable`` makes of an axis was added."""
@@ -84,7 +89,8 @@ def common_means(
 
     Pixels count that have a value in all maps and where all masks are true.
     """
-    area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least_share=least_share)
+    n_rows, n_cols = maps[0].shape
+    area_means = AreaMeans((n_rows, n_cols), factor, least_share=least_share)
     for rows, bands in read_bands(*maps, *masks):
         map_bands = [summable(m, band) for m, band in zip(maps, bands, strict=False)]
         area_means.add(rows.start, valid_in_all(map_bands, bands[len(maps) :]), *map_bands)
@@ -98,11 +104,17 @@ def valid_in_all(maps: Iterable[Array], masks: Sequence[Array] = ()) -> Bools:
 
 
 def _overlap(count: int, factor: float) -> sparse.csr_array:
-    """Share of each of ``count`` pixels that lies in each cell: (cells, count)."""
+    """Share of each of ``count`` pixels that lies in each cell: (cells, count).
+
+    A cell is ``factor`` pixels long. The 1e-9 keep a cell that ends with a pixel from taking in the
+    next one.
+    """
     cells = int(count / factor + 1e-9)
-    edges = np.arange(cells + 1) * factor
+    edges = np.arange(cells + 1) * factor  # in pixels
     first = np.floor(edges[:-1] + 1e-9).astype(np.intp)
-    pixel_counts = np.minimum(np.ceil(edges[1:] - 1e-9), count).astype(np.intp) - first
+    ends = np.minimum(np.ceil(edges[1:] - 1e-9), count).astype(np.intp)
+    pixel_counts = ends - first
+    # An entry for each pixel of each cell, cell by cell.
     rows = np.repeat(np.arange(cells), pixel_counts)
     cols = np.arange(rows.size) + (first - np.cumsum(pixel_counts) + pixel_counts)[rows]
     shares = np.minimum(cols + 1, edges[rows + 1]) - np.maximum(cols, edges[rows])

@@ -168,7 +168,8 @@ def is_masked(array: Any) -> bool:
 def map_pixel_um(name: str, values: Any, pixel_um: Sequence[float] | None) -> Pair | None:
     """Give the pixel of a map by its coordinates, or by its attribute ``pixel_um`` without any.
 
-    None where it states none in um. SizeError where ``pixel_um``, as a call gives it, is another.
+    The pixel is (rows, cols) in um; None where the map states none in um. SizeError where
+    ``pixel_um``, as a call gives it, is another. ``name`` is that of the map in messages.
     """
     if not isinstance(values, xr.DataArray):
         return None
@@ -215,7 +216,7 @@ def _is_um(unit: object) -> bool:
 
 
 def step_um(array: xr.DataArray | xr.Dataset, axis: str) -> float | None:
-    """Distance of voxels or pixels by their coordinates.
+    """Distance of voxels or pixels by their coordinates along an axis, in um.
 
     None without any, SizeError where they are of no use.
     """

@@ -13,6 +13,7 @@ from pydantic import AfterValidator
 
 from planish.core.facts import DescribedModel, Number, Trust
 from planish.core.text import plain_numbers
+from planish.core.typing import Entries, Texts
 
 State = Literal["pass", "look", "fail", "unknown"]
 """``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing
@@ -44,9 +45,9 @@ class Check(DescribedModel):
     """What to do; empty where nothing has to be done."""
     remedy: str = ""
     """What to set in the next run; names parameters, as `voxel_um`."""
-    figures: tuple[str, ...] = ()
+    figures: Texts = ()
     """What it concerns: names of maps, or properties, position, correlation."""
-    layers: tuple[str, ...] = ()
+    layers: Texts = ()
     """Layers that it is about."""
 
     @property
@@ -61,7 +62,7 @@ class CheckRule:
 
     name: str  # of the check
     stage: type  # of a run, by the class of what it gives to judge
-    figures: tuple[str, ...]  # that the check concerns, where the function names no others
+    figures: Texts  # that the check concerns, where the function names no others
     # Takes the rule and what is judged; None where there is nothing.
     judge: Callable[[CheckRule, Any], Check | None]
 
@@ -75,7 +76,7 @@ class CheckRule:
         sentence: str,
         *,
         advice: str = "",
-        figures: tuple[str, ...] | None = None,
+        figures: Texts | None = None,
         **fields: Any,
     ) -> Check:
         """Make a check of this name; ``figures`` are those of the rule where not given."""
@@ -95,7 +96,9 @@ class CheckRule:
     ) -> Check:
         """Judge a value that should be small; advice and remedy are dropped where it passes.
 
-        NaN passes nothing and is a look.
+        Above ``fail`` it fails, above ``look`` it is a look; where one of these limits is not
+        given, nothing is judged by it, but ``fail`` alone is the limit of a look, too. NaN passes
+        nothing and is a look.
         """
         look_limit = fail if look is None else look
         state: State = "pass"
@@ -112,7 +115,7 @@ class CheckRule:
         self, value: float, *, look: float, sentence: str, advice: str, units: str
     ) -> Check:
         """Judge a value that should be large."""
-        judged: dict[str, Any] = {"value": float(value), "limit": look, "units": units}
+        judged: Entries = {"value": float(value), "limit": look, "units": units}
         if value >= look:
             return self.check("pass", sentence, **judged)
         return self.check("look", sentence, advice=advice, **judged)

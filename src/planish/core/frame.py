@@ -98,9 +98,8 @@ class Frame:
 
         InputError if it is given twice, or as something else.
         """
-        keywords = {
-            name: value for name, value in (("through", through), ("top", top)) if value is not None
-        }
+        words = {"through": through, "top": top}
+        keywords = {name: word for name, word in words.items() if word is not None}
         if frame is None:
             return replace(cls.of(volume), **keywords)
         if not isinstance(frame, cls):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -127,18 +126,19 @@ def likely_through(values: Array | LazyArray | xr.Variable) -> Axis | None:
 
     sample = _sample(values)
     is_value = np.isfinite(sample)
-    sample[~is_value] = np.mean(sample[is_value]) if is_value.any() else 0.0
+    mean = np.mean(sample[is_value]) if is_value.any() else 0.0
+    sample[~is_value] = mean
     planes = ((1, 2), (0, 2), (0, 1))  # across each axis
     variances = [float(sample.mean(axis=axes).var()) for axes in planes]
-    order = np.argsort(variances)[::-1]
+    _, second, largest = sorted(variances)
     # The second axis may have this share of the variance along the first.
-    if not variances[order[0]] > 0 or variances[order[1]] > 0.3 * variances[order[0]]:
+    if not largest > 0 or second > 0.3 * largest:
         return None
-    return AXES[order[0]]
+    return AXES[variances.index(largest)]
 
 
 def _sample(values: Array | LazyArray | xr.Variable) -> Floats:
-    """Some values of a volume, its axes as they are."""
+    """Some values of a volume (z, y, x), its axes as they are."""
     import numpy as np
 
     # 24 of the slices and 200 places along either other axis; of a file in chunks only three rows
@@ -146,11 +146,13 @@ def _sample(values: Array | LazyArray | xr.Variable) -> Floats:
     depth, height, _ = getattr(values, "encoding", {}).get("chunks") or (1, 1, 1)
     slice_indices = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
     steps = [max(1, n // 200) for n in values.shape[1:]]
-    starts = height * np.linspace(0, values.shape[1] // height - 1, 3).astype(int)
+    n_bands = values.shape[1] // height
+    starts = height * np.linspace(0, n_bands - 1, 3).astype(int)
     bands = [slice(None)]
     if depth > 1 and 6 * height < values.shape[1]:
         bands = [slice(k, k + height) for k in starts]
     planes: list[Array] = []
+    # Slices of one layer of chunks are read together.
     for layer in np.unique(slice_indices // depth):
         indices = slice_indices[slice_indices // depth == layer]
         parts: list[Array] = []

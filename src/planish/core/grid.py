@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, SurfaceError
-from planish.core.typing import Bools, Entries, Floats, Ints, Pair
+from planish.core.typing import Array, Bools, Entries, Floats, Ints, Pair, Shape2D
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,9 +25,7 @@ class Grid:
     step_um: Pair | None = None
 
     @classmethod
-    def regular(
-        cls, shape: tuple[int, int], pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)
-    ) -> Grid:
+    def regular(cls, shape: Shape2D, pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)) -> Grid:
         """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
         row_um, col_um = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
         down, across = (np.arange(n, dtype=np.float64) for n in shape)
@@ -49,7 +47,7 @@ class Grid:
         return Grid(y_um=self.y_um[rows], x_um=self.x_um[cols], step_um=self.pixel_um)
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape2D:
         """Rows and columns."""
         return self.y_um.size, self.x_um.size
 
@@ -115,7 +113,7 @@ def filled(field: Floats) -> Floats:
     return values
 
 
-def corners_of(nodes: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def corners_of(nodes: Array) -> tuple[Array, ...]:
     """Values of a field (rows, cols, ...) at the four corners of every cell, around the cell."""
     upper = nodes[:-1]
     lower = nodes[1:]
@@ -131,18 +129,19 @@ def first_and_last(mask: Bools) -> tuple[Ints, Ints]:
     return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - after_last
 
 
-def at_index(field: NDArray[Any], index: NDArray[np.integer]) -> NDArray[Any]:
+def at_index(field: Array, index: NDArray[np.integer]) -> Array:
     """Values of a field (..., n) at one index (...) along its last axis."""
     return np.take_along_axis(field, index[..., None], axis=-1)[..., 0]
 
 
-def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
+def bilinear(field: Array, row: Floats, col: Floats) -> Floats:
     """Values of a field (rows, cols) at fractional rows and columns.
 
     NaN outside the middles of its outer pixels.
     """
     rows, cols = field.shape
     is_inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
+    # The pixel above and to the left; outside, any will do.
     i = np.clip(np.where(is_inside, row, 0).astype(np.intp), 0, rows - 2)
     j = np.clip(np.where(is_inside, col, 0).astype(np.intp), 0, cols - 2)
     down = row - i

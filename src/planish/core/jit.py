@@ -69,22 +69,19 @@ def cache_folder(numba_dir: str) -> str:
     none can be written.
     """
     user_folder = Path(AppDirs("numba", appauthor=False).user_cache_dir)
-    # The user's folder is relative where there is no home.
-    base_folders = [
-        *([Path(numba_dir)] if numba_dir else []),
-        *([user_folder] if user_folder.is_absolute() else []),
-    ]
+    base_folders = [Path(numba_dir)] if numba_dir else []
+    if user_folder.is_absolute():  # it is not where there is no home
+        base_folders.append(user_folder)
     for base_folder in base_folders:
-        folder = (
-            base_folder
-            / f"planish-{hash_sources('_*kernels.py')}-{numba.__version__}-{np.__version__}"
-        )
+        kernels_hash = hash_sources("_*kernels.py")
+        folder = base_folder / f"planish-{kernels_hash}-{numba.__version__}-{np.__version__}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             os.utime(folder)
         except OSError:
             continue
+        # Folders of other sources, 16 digits of their hash in the name.
         for other_folder in base_folder.glob(f"planish-{16 * '[0-9a-f]'}-*"):
             with suppress(OSError):  # another process removes it, too
                 if time.time() - other_folder.stat().st_mtime > _UNUSED_SECONDS:

@@ -27,8 +27,9 @@ class ChunkPart(NamedTuple):
 
 
 def chunk_parts(where: Where, chunk: Sequence[int]) -> Iterator[ChunkPart]:
-    """Chunks in which a part of an array lies, by the lengths of a chunk."""
-    numbers = [range(w.start // c, -(-w.stop // c)) for w, c in zip(where, chunk, strict=True)]
+    """Chunks in which a part of an array lies, by the lengths of a chunk; steps are passed over."""
+    edges = zip(where, chunk, strict=True)
+    numbers = [range(w.start // c, -(-w.stop // c)) for w, c in edges]
     for position in product(*numbers):
         within: list[slice] = []
         target: list[slice] = []

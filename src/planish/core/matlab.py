@@ -178,7 +178,8 @@ def _variable_new(name: str, member: Any) -> Variable:
         class_name = class_name.decode(errors="replace")
     kind = str(class_name) or _CLASS_OF_TYPE.get(member.dtype, str(member.dtype))
     is_real = member.dtype.kind in "uif" and kind in NUMBERS
-    return Variable(name=name, shape=tuple(int(n) for n in shape[::-1]), kind=kind, real=is_real)
+    matlab_shape = tuple(map(int, shape[::-1]))
+    return Variable(name=name, shape=matlab_shape, kind=kind, real=is_real)
 
 
 def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
@@ -206,7 +207,10 @@ def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
 
 
 def _variable_5(header: bytes, byte_order: str) -> Variable | None:
-    """A variable that begins with these bytes; None for an empty element."""
+    """A variable that begins with these bytes, unpacked; None for an empty element.
+
+    They are as many as hold all but its values.
+    """
     element_type, matrix_bytes = struct.unpack_from(f"{byte_order}II", header)
     if element_type != _MATRIX:
         raise Damaged("what was compressed is no variable")

@@ -183,9 +183,11 @@ def capital(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def decimals_of_r(limits: tuple[float, float] | None) -> int:
+def decimals_of_r(limits: Pair | None) -> int:
     """Decimals of an r within limits: two, and more where they are close to each other."""
-    width = 1.0 if limits is None or not all(map(math.isfinite, limits)) else limits[1] - limits[0]
+    if limits is None or not is_known(limits):
+        return 2
+    width = limits[1] - limits[0]
     if 0 < width < _NARROW_WIDTH:
         return min(max(2, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
     return 2

@@ -134,7 +134,11 @@ def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...
 def as_words(
     paths_by_word: Mapping[str, tuple[str, ...]],
 ) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
-    """Name the places of mistakes by the words of a call; as they are where none has them."""
+    """Name the places of mistakes by the words of a call; as they are where none has them.
+
+    What is returned takes the keys from the model to a value, and gives the name as a key of one
+    part, with no line: there is no file.
+    """
     words = {path: f"`{word}`" for word, path in paths_by_word.items()}
 
     def word_at(loc: tuple[str | int, ...]) -> tuple[Any, None]:
@@ -150,8 +154,9 @@ def as_words(
 def put_options(
     tables: dict[str, Any], paths_by_word: Mapping[str, tuple[str, ...]], options: Mapping[str, Any]
 ) -> list[str]:
-    """Put options into the tables where their words stand, others as they are.
+    """Put options into the tables of a model where their words stand, others as they are.
 
+    ``tables`` is changed; ``paths_by_word`` as of :func:`words_in`, ``options`` are values by word.
     Give the words of those given twice.
     """
     duplicates: list[str] = []
@@ -160,9 +165,9 @@ def put_options(
         table = tables
         for outer_name in outer_names:
             table = table.setdefault(outer_name, {})
-        if value is True and any(
-            path[:-1] == (*outer_names, name) for path in paths_by_word.values()
-        ):
+        path_to_table = (*outer_names, name)
+        has_options = any(path[:-1] == path_to_table for path in paths_by_word.values())
+        if value is True and has_options:
             table.setdefault(name, {})  # options of their own, which this word switches on
         elif table.get(name) is not None:
             duplicates.append(word)

@@ -51,12 +51,14 @@ def otsu_borders(counts: Array, grey_sums: Array, classes: int) -> Shape:
 
     Between these classes the variance is largest.
 
-    ``counts`` and ``grey_sums`` (bins,) are the values in the bins and the sums of their grey.
+    ``counts`` and ``grey_sums`` (bins,) are the number of values in each bin and the sum of their
+    grey; ``classes`` is 2 or 3. No class is empty of bins.
     """
     cum_count, cum_grey = running_sums([counts, grey_sums])
     last_bin = cum_count.size - 1
 
     def gain(a: Any, b: Any) -> Floats:
+        """What a class of the bins from a up to b adds to the variance between the classes."""
         count = cum_count[b] - cum_count[a]
         grey_sum = cum_grey[b] - cum_grey[a]
         return np.where(count > 0, grey_sum * grey_sum / np.maximum(count, 1e-300), 0.0)

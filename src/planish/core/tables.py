@@ -194,6 +194,7 @@ def split_rows(text: str) -> Rows:
 
     Cells without blanks at their ends; without rows and last columns that are empty throughout.
     """
+    # Numbers of lines, from 1, and the lines.
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     delimiter = ""
     # Excel's own line in front of a table.
@@ -220,7 +221,10 @@ def _label_faults(comment_lines: Sequence[tuple[int, str]], delimiter: str) -> I
 
 
 def _rows_of(lines: Sequence[tuple[int, str]], delimiter: str) -> tuple[list[CsvRow], list[str]]:
-    """Rows of numbered lines, of one width, and faults of single lines."""
+    """Rows of numbered lines, none with more cells than the widest that is not empty, and faults.
+
+    The faults are sentences about single lines that cannot be read.
+    """
     rows: list[CsvRow] = []
     faults: list[str] = []
     for number, line in lines:
@@ -293,7 +297,9 @@ class CsvTable:
 
     def text(self, row: CsvRow, column: str, default: str = "") -> str:
         """Cell of a row; the default where there is no such column, or nothing in the cell."""
-        return (row.cells[self.header.index(column)] if column in self.header else "") or default
+        if column not in self.header:
+            return default
+        return row.cells[self.header.index(column)] or default
 
     def number(self, row: CsvRow, column: str) -> float:
         """Give the finite number in a cell; anything else is a fault and NaN."""
@@ -339,7 +345,8 @@ def parse_table(
     content = split_rows(text)
     if not content.rows:
         raise error(f"{name} is empty. {advice}")
-    header, um = _columns_of(content.rows[0].cells, (*needed, *optional))
+    possible = (*needed, *optional)
+    header, um = _columns_of(content.rows[0].cells, possible)
     faults = [*_header_faults(header, needed, advice), *content.faults]
     rows: list[CsvRow] = []
     widest = 0

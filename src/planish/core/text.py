@@ -62,7 +62,9 @@ def and_join(words: Iterable[str]) -> str:
 
 def and_join_few(words: Sequence[str]) -> str:
     """Words in a list: ``a, b and c``; the first eight of ten or more."""
-    return and_join([*words[:8], f"{len(words) - 8} more"] if len(words) > 9 else words)
+    if len(words) > 9:
+        words = [*words[:8], f"{len(words) - 8} more"]
+    return and_join(words)
 
 
 def first_few(items: Sequence[object]) -> str:

@@ -130,13 +130,13 @@ def control_groups(
 
 
 def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:
+    """Processors whose time the control groups of the process may take, each rounded up."""
     quotas: list[int] = []
     for folder, is_version_1 in control_groups("cpu", membership_file, groups_folder):
         file_names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if is_version_1 else ("cpu.max",)
+        files = [folder / name for name in file_names]
         with suppress(OSError, ValueError):  # not there, or "max"
-            contents = [
-                (folder / name).read_text(encoding="ascii", errors="replace") for name in file_names
-            ]
+            contents = [file.read_text(encoding="ascii", errors="replace") for file in files]
             limit, period = map(int, " ".join(contents).split())
             if limit > 0 and period > 0:
                 quotas.append(-(-limit // period))

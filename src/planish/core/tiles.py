@@ -19,7 +19,7 @@ import numpy as np
 
 from planish.core.files import move
 from planish.core.threads import count_threads, thread_pool
-from planish.core.typing import Array
+from planish.core.typing import Array, Shape2D
 
 Job = TypeVar("Job")
 Result = Array
@@ -61,7 +61,7 @@ class Tile(NamedTuple):
         c = outer.c0
         return Tile(self.r0 - r, self.r1 - r, self.c0 - c, self.c1 - c)
 
-    def grown(self, rows: int, cols: int, shape: tuple[int, int]) -> Tile:
+    def grown(self, rows: int, cols: int, shape: Shape2D) -> Tile:
         """Return the tile with so many more rows and columns on every side.
 
         It grows only as far as a grid of ``shape`` reaches.
@@ -73,18 +73,24 @@ class Tile(NamedTuple):
         return Tile(r0, r1, c0, c1)
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape2D:
         """Number of rows and columns."""
         return self.r1 - self.r0, self.c1 - self.c0
 
 
-def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
+def tiles_of(shape: Shape2D, size: Shape2D) -> list[Tile]:
     """Cover a grid of ``shape`` with tiles of ``size``, row by row.
 
     The last ones of an axis may be smaller.
     """
-    corners = product(range(0, shape[0], size[0]), range(0, shape[1], size[1]))
-    return [Tile(r, min(r + size[0], shape[0]), c, min(c + size[1], shape[1])) for r, c in corners]
+    rows, cols = shape
+    tile_rows, tile_cols = size
+    tiles: list[Tile] = []
+    for r0, c0 in product(range(0, rows, tile_rows), range(0, cols, tile_cols)):
+        r1 = min(r0 + tile_rows, rows)
+        c1 = min(c0 + tile_cols, cols)
+        tiles.append(Tile(r0, r1, c0, c1))
+    return tiles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

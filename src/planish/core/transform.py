@@ -193,7 +193,11 @@ class Projective(NearSimilarity):
         return numerators / denominators[..., None] * self.target_size + np.asarray(self.target)
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``.
+
+        By the rule for a quotient: of numerator over denominator, less the image's share in the
+        denominator's.
+        """
         h = np.array(self.homography)
         numerators, denominators = self._projected(points)
         image = numerators / denominators[..., None]

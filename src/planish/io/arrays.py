@@ -87,11 +87,9 @@ def volume(
         values = stored_data.astype(dtype)
     else:
         values = _lazy(raster.variable, dtype)
-    attrs = (
-        {"full_scale": full_scale(raster.dtype, 64), "long_name": "Grey value"}
-        | raster.attrs
-        | frame.lies()
-    )
+    # 64 bits: an array uses all that its type has.
+    attrs: Entries = {"full_scale": full_scale(raster.dtype, 64), "long_name": "Grey value"}
+    attrs |= raster.attrs | frame.lies()
     return _labelled(
         values, raster, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size
     )
@@ -146,8 +144,9 @@ def image(
         "orientation": 1,
         "long_name": long_name,
         **raster.attrs,
-        **({} if side is None else {"side": side}),
     }
+    if side is not None:
+        attrs["side"] = side
     return _labelled(
         values, raster, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size
     )
@@ -155,12 +154,13 @@ def image(
 
 def _lazy(source: Any, dtype: DType) -> LazyArray:
     """An array of another library, of which parts are read as they are asked for."""
-    array = LazyArray(tuple(map(int, source.shape)), dtype, partial(_read_part, source, dtype))
-    # Those of dask hold the size of each chunk.
-    chunks: Any = (
-        getattr(source, "chunks", None) or getattr(source, "encoding", {}).get("chunks") or ()
-    )
-    array.chunks = tuple(max(edge) if isinstance(edge, tuple) else edge for edge in chunks) or None
+    shape = tuple(map(int, source.shape))
+    array = LazyArray(shape, dtype, partial(_read_part, source, dtype))
+    # Edges of a chunk along each axis; dask has a tuple instead, with the edge of every chunk.
+    encoding = getattr(source, "encoding", {})
+    chunks: Any = getattr(source, "chunks", None) or encoding.get("chunks") or ()
+    edges = (max(edge) if isinstance(edge, tuple) else edge for edge in chunks)
+    array.chunks = tuple(edges) or None
     return array
 
 
@@ -183,18 +183,22 @@ def _read_part(source: Any, dtype: DType, where: Where) -> Array:
 
 
 def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
-    """An array with names for its axes, not read; an image may have one more, its colours."""
+    """An array with the axes (z, y, x) or (y, x) of its kind in this order, not read.
+
+    An image may have one more, its colours.
+    """
     if not isinstance(getattr(array, "dtype", None), np.dtype):
         raise not_taken(array, "an array", conversion_call(array, kind), f"pl.{kind.name}(")
     check_numbers(array, f"The {kind.name}")
     raster = _raster(array)
     dims = [*map(str, raster.dims)]
     has_colour = kind is IMAGE and raster.shape[2:] in ((3,), (4,))
+    # What xarray, and `_raster`, call axes without a name.
+    is_unnamed = all(name.startswith("dim_") for name in dims)
     if set(kind.axes) <= set(dims):
         raster = raster.transpose(*kind.axes, ...)
-    # Names of no axis.
-    elif all(name.startswith("dim_") for name in dims) and len(dims) == len(kind.axes) + has_colour:
-        raster = raster.rename(dict(zip(raster.dims, (*kind.axes, "colour"), strict=False)))
+    elif is_unnamed and len(dims) == len(kind.axes) + has_colour:
+        raster = raster.rename(dict(zip(dims, (*kind.axes, "colour"), strict=False)))
     dims = [*map(str, raster.dims)]
     check_values(raster, kind, dims[:2] if has_colour else dims)
     if min(raster.shape) < (2 if kind is VOLUME else 1):
@@ -209,7 +213,8 @@ def _stated(
 ) -> list[Stated]:
     """Sizes by the steps of the coordinates of an array, and by its attribute.
 
-    Of a size that is given, that of the attribute is the one it replaces: the array was cut out.
+    ``steps`` are in um along each axis, None where it has no coordinates. Of a size that is given
+    (``is_given``), that of the attribute is the one it replaces: the array was cut out.
     """
     stated_um = dict(steps)
     note = ""
@@ -239,7 +244,8 @@ def _labelled(
 ) -> xr.DataArray:
     """Give the values with the size that coordinates, attribute and call agree on.
 
-    They begin where they did.
+    ``raster`` is the array as it was given, with its coordinates and attributes; ``size_um`` and
+    the flags are what the call says. Coordinates that do not begin at 0 are kept as they are.
     """
     steps = {axis: None if override else step_um(raster, axis) for axis in kind.axes}
     stated = _stated(raster, kind, steps, is_given=size_um is not None)

@@ -90,7 +90,7 @@ def names_by_attributes(attrs: Fields, shape: Sequence[int], *, is_own: bool) ->
 
 def _is_usual(words: Sequence[str]) -> bool:
     """True if an order names no two of z, y, x, or names them in this order."""
-    letters = [letter for word in words if (letter := letter_of(word)) in ("z", "y", "x")]
+    letters = [letter for letter in map(letter_of, words) if letter in ("z", "y", "x")]
     return letters == sorted(letters, reverse=True)
 
 
@@ -108,13 +108,19 @@ def _on_axes(values: Sequence[T], shape: Sequence[int], default: T) -> list[T] |
 
 
 def names_by_indices(attrs: Fields, shape: Sequence[int]) -> list[AxisNames]:
-    """Names of the axes by the attributes ``NAME_indices`` of a NeXus group."""
+    """Names of the axes by the attributes ``NAME_indices`` of a NeXus group.
+
+    Each holds the number of the stored axis that NAME stands for. Empty where no attribute is such.
+    """
     names = [""] * len(shape)
     for key in map(str, attrs):
         indices = np.ravel(np.asarray(attrs[key]))
-        is_index = key.endswith(NEXUS_INDICES) and indices.size == 1 and indices.dtype.kind in "ui"
-        if is_index and 0 <= int(indices[0]) < len(shape):
-            names[int(indices[0])] = key.removesuffix(NEXUS_INDICES)
+        is_index = indices.size == 1 and indices.dtype.kind in "ui"
+        if not is_index or not key.endswith(NEXUS_INDICES):
+            continue
+        axis = int(indices[0])
+        if 0 <= axis < len(shape):
+            names[axis] = key.removesuffix(NEXUS_INDICES)
     if any(names):
         return [AxisNames("the NeXus indices", tuple(names))]
     return []
@@ -141,7 +147,7 @@ def axis_words(raw_value: Any) -> list[str]:
     text = value.strip().strip("[]")
     if set(text.casefold()) <= set("zyxct") and len(text) > 1:
         return [*text]
-    return [word.strip() for word in re.split(r"[:;,\s]+", text) if word.strip()]
+    return re.findall(r"[^:;,\s]+", text)
 
 
 def _axes_content(raw_value: Any) -> Any:
@@ -179,7 +185,8 @@ def _plain(raw_value: Any) -> Any:
 def sizes_by_attributes(attrs: Fields, shape: Sequence[int], order: Sequence[int]) -> list[Stated]:
     """Voxel size along z, y, x by each attribute that states one.
 
-    It is one number, or one for each axis as it is stored.
+    It is one number, or one for each axis as it is stored. ``order``: which stored axes are z, y
+    and x.
     """
     keys = {str(key).casefold(): str(key) for key in attrs}
     stated: list[Stated] = []
@@ -198,6 +205,7 @@ def sizes_by_attributes(attrs: Fields, shape: Sequence[int], order: Sequence[int
             if unit:
                 source += f" ({unit}; no unit is written, in another one no scan of paper)"
         units = [unit] * max(len(shape), 3)
+        # Of one axis alone by its name, of the others nothing is known.
         if axis:
             along = [lengths[0] if letter == axis else None for letter in "zyx"]
             stated.append(stated_in(source, along, units))
@@ -214,12 +222,17 @@ def _size_name(key: str) -> tuple[str, str, str] | None:
     prefix, quantity, suffix, unit = size_name.groups(default="")
     axis = "z" if prefix == "slice" else prefix or suffix
     # Of a voxel a unit has to be written; steps are those of one axis.
-    is_size = unit == "um" if quantity == "voxel" else quantity != "step" or axis
+    is_size = quantity != "step" or axis
+    if quantity == "voxel":
+        is_size = unit == "um"
     return (axis, quantity, unit) if is_size else None
 
 
 def _unit_beside(attrs: Fields, keys: Mapping[str, str], quantity: str) -> str:
-    """Unit of a size in an attribute of its own; empty where there is none."""
+    """Unit of a size in an attribute of its own; empty where there is none.
+
+    ``keys``: the names of the attributes by these names in small letters.
+    """
     for name in (f"{quantity}_units", f"{quantity}_unit", "units", "unit"):
         if name in keys:
             return word_of(attrs[keys[name]])
@@ -229,16 +242,20 @@ def _unit_beside(attrs: Fields, keys: Mapping[str, str], quantity: str) -> str:
 def _stated_by_tags(
     raw_value: Any, source: str, shape: Sequence[int], order: Sequence[int]
 ) -> list[Stated]:
-    """Voxel size by tags of vigra, in which a resolution of 0 is none."""
+    """Voxel size by tags of vigra, one for each stored axis, in which a resolution of 0 is none."""
     content = _axes_content(raw_value)
     if not isinstance(content, list):
         return []
     entries = [entry for entry in content if isinstance(entry, dict)]
     if len(entries) != len(shape):
         return []
-    resolutions = [entry.get("resolution") for entry in entries]
-    lengths = [float(n) if isinstance(n, (int, float)) and n else None for n in resolutions]
-    return [stated_in(source, lengths, [str(e.get("unit", "")) for e in entries], order)]
+    lengths: list[float | None] = []
+    for entry in entries:
+        resolution: Any = entry.get("resolution")
+        is_length = isinstance(resolution, (int, float)) and resolution
+        lengths.append(float(resolution) if is_length else None)
+    units = [str(entry.get("unit", "")) for entry in entries]
+    return [stated_in(source, lengths, units, order)]
 
 
 def _lengths_along(raw_value: Any, shape: Sequence[int]) -> list[float | None] | None:
@@ -257,7 +274,8 @@ def stated_by_coordinates(
 ) -> tuple[list[Stated], list[Orientation]]:
     """Voxel size and hand by the coordinates along the stored axes, None where an axis has none.
 
-    They have to be evenly spaced; where they fall, the axis runs the other way.
+    They have to be evenly spaced; where they fall, the axis runs the other way. ``order``: which
+    stored axes are z, y and x. Both lists are empty where no axis has coordinates.
     """
     steps: list[float | None] = [None] * len(along)
     units = [""] * len(along)
@@ -273,7 +291,8 @@ def stated_by_coordinates(
     source = "the spacing of its coordinates"
     lengths = [None if step is None else abs(step) for step in steps]
     stated = stated_in(source, lengths, units, order)
-    stated = stated._replace(note=", ".join(filter(None, [*notes, stated.note])))
+    all_notes = filter(None, [*notes, stated.note])
+    stated = stated._replace(note=", ".join(all_notes))
     return [stated], orientation_by_steps(source, [steps[axis] for axis in order])
 
 

@@ -72,7 +72,9 @@ def letter_of(name: str) -> str | None:
     >>> letter_of("X (um)"), letter_of("dim_0"), letter_of("time"), letter_of("angle")
     ('x', '', 't', None)
     """
-    words = re.findall(r"[^\W\d_]+", name.casefold().replace("µ", "u").replace("μ", "u"))
+    # The micro sign and the Greek letter look alike.
+    text = name.casefold().replace("µ", "u").replace("μ", "u")
+    words = re.findall(r"[^\W\d_]+", text)
     telling_words = [word for word in words if word not in NEUTRAL]
     if not telling_words:
         return ""
@@ -139,7 +141,9 @@ def _spatial_letters(
 ) -> tuple[list[str], list[str]]:
     """Which of three axes are z, y and x, in the order stored, and what was assumed of them.
 
-    ``lengths`` are those of the axes that `naming` names.
+    ``lengths`` are those of the axes that `naming` names, in voxels; the texts are for messages. An
+    axis of time, or of many channels, is read as z where no axis is called so; any other one is
+    refused.
     """
     letters = _filled(naming.letters)
     if letters is None:
@@ -176,11 +180,14 @@ def may_be_slices(letter: str, count: int) -> bool:
 def _telling_namings(
     namings: Sequence[AxisNames], long_axes: Sequence[int], subject: str
 ) -> list[_Naming]:
-    """The conventions that say something of an axis, which may not contradict each other."""
+    """The conventions that say something of an axis, which may not contradict each other.
+
+    ``long_axes``: numbers of the stored axes that are longer than 1; the others are left aside.
+    """
     telling: list[_Naming] = []
     for source, all_names in namings:
         names = [all_names[axis] for axis in long_axes]
-        naming = _Naming(source, names, [letter_of(name) for name in names], all_names)
+        naming = _Naming(source, names, [*map(letter_of, names)], all_names)
         if all(letter == "" for letter in naming.letters):
             continue
         telling.append(naming)
@@ -196,10 +203,12 @@ def _telling_namings(
 def _filled(letters: Sequence[str | None]) -> list[str] | None:
     """Letters of all axes, of which some may have no name; None where these are not clear.
 
-    An axis without a name is the letter that is left, or in its usual place.
+    In ``letters`` an axis without a name is empty, one with an unknown name None. The former is the
+    letter that is left, or in its usual place.
     """
     named = [*filter(None, letters)]
     free_letters = [letter for letter in "zyx" if letter not in named]
+    # An axis of channels or time points stands for the first of them, z.
     if set(named) & set(MEANINGS):
         free_letters = free_letters[1:]
     n_missing = len(letters) - len(named)

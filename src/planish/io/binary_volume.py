@@ -33,21 +33,28 @@ NIFTI_AXES = ("x", "y", "z", "t", "u", "v", "w")  # as the standard calls them, 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
-    is_nifti = place.path.name.lower().endswith((".nii", ".nii.gz"))
-    return (_load_nifti if is_nifti else _load_mrc)(place.path)
+    if place.path.name.lower().endswith((".nii", ".nii.gz")):
+        return _load_nifti(place.path)
+    return _load_mrc(place.path)
 
 
 def _header_of(
     path: Path, axes: StoredAxes, dtype: DType, offset: int, stated: list[Stated]
 ) -> Header:
-    """Header of values that begin at a byte of a file, which may be packed as a whole."""
+    """Header of values that begin at byte ``offset`` of a file, which may be packed as a whole."""
     packing = packing_of(path)
-    offset, skip_bytes = (0, offset) if packing else (offset, 0)
+    skip_bytes = 0
+    if packing:  # the byte is one of the unpacked file
+        skip_bytes = offset
+        offset = 0
     return Header(path, path, axes, dtype, offset, stated, packing, skip_bytes)
 
 
 def _load_nifti(path: Path) -> LoadedVolume:
-    """Values of a NIfTI file; those that the header scales become float32."""
+    """Values of a NIfTI file; those that the header scales become float32.
+
+    The header counts its axes from x, the fastest; arrays have z first.
+    """
     fields, header_bytes = _nifti_header(unpacked_head(path, LONGEST_NIFTI), path)
     with reading(path):
         extents = tuple(map(int, fields.get_data_shape()))
@@ -68,11 +75,12 @@ def _load_nifti(path: Path) -> LoadedVolume:
     if axes.header_axes != (2, 1, 0):  # time points in place of z have no place in an affine
         affines = {}
     for name, affine in affines.items():
+        # A row for each of z, y, x: where it runs in space.
         orientation = Orientation(f"the {name}", affine[:, ::-1].T)
         orientations.append(orientation)
         if not orientation.is_flat:
-            lengths = np.linalg.norm(affine, axis=0)
-            stated.append(stated_in(f"the NIfTI {name}", lengths.tolist(), units, (2, 1, 0)))
+            lengths = np.linalg.norm(affine, axis=0).tolist()
+            stated.append(stated_in(f"the NIfTI {name}", lengths, units, axes.header_axes))
     header = _header_of(path, axes, dtype, offset, stated)._replace(orientations=orientations)
     values = values_behind(header)
     if (slope, intercept) not in ((None, None), (1.0, 0.0)):
@@ -86,13 +94,17 @@ def _affines(fields: Any) -> dict[str, Floats]:
     """Columns x, y, z of the affines that were written, by their name."""
     # Without a code none was written, and nibabel would make one up.
     getters = {"sform": fields.get_sform, "qform": fields.get_qform}
-    written = [name for name in getters if int(fields[f"{name}_code"]) > 0]
-    return {name: np.asarray(getters[name](), np.float64)[:3, :3] for name in written}
+    affines: dict[str, Floats] = {}
+    for name, get_affine in getters.items():
+        if int(fields[f"{name}_code"]) > 0:
+            affines[name] = np.asarray(get_affine(), np.float64)[:3, :3]
+    return affines
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
     """Read the header alone, and its length.
 
+    ``head``: the first `LONGEST_NIFTI` bytes; they begin with the length of the header, 348 or 540.
     What nibabel opens may name other files and extensions of any size.
     """
     with quiet:
@@ -100,7 +112,7 @@ def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
     header_class = Nifti1Header
     n_bytes = 348
     magic = head[344:347]
-    if head[:4] in (LONGEST_NIFTI.to_bytes(4, "little"), LONGEST_NIFTI.to_bytes(4, "big")):
+    if LONGEST_NIFTI in (int.from_bytes(head[:4], "little"), int.from_bytes(head[:4])):
         header_class = Nifti2Header
         n_bytes = LONGEST_NIFTI
         magic = head[4:7]
@@ -135,7 +147,8 @@ def _load_mrc(path: Path) -> LoadedVolume:
         raise damaged(
             path, f"its sizes are {extents}, its extended header has {extended_bytes} bytes"
         )
-    letters = tuple(MRC_AXES.get(int(fields[name]), "") for name in ("mapc", "mapr", "maps"))
+    axis_numbers = (int(fields[name]) for name in ("mapc", "mapr", "maps"))
+    letters = tuple(MRC_AXES.get(number, "") for number in axis_numbers)
     naming = AxisNames("mapc, mapr and maps", letters)
     axes = axes_of(extents, path, [naming] if any(letters) else [])
     offset = HEADER_BYTES + extended_bytes
@@ -146,12 +159,15 @@ def _load_mrc(path: Path) -> LoadedVolume:
 
 
 def _mrc_header(head: bytes, path: Path) -> Any:
+    """The fields of a header by their names, in the byte order in which they make sense."""
     with quiet:
         from mrcfile import dtypes
     if len(head) == HEADER_BYTES:
         for byte_order in ("<", ">"):
             fields = np.frombuffer(head, dtypes.HEADER_DTYPE.newbyteorder(byte_order))[0]
-            has_sizes = all(0 < int(fields[name]) < 2**24 for name in ("nx", "ny", "nz"))
+            # In the wrong order, small whole numbers become huge ones.
+            sizes = [int(fields[name]) for name in ("nx", "ny", "nz")]
+            has_sizes = min(sizes) > 0 and max(sizes) < 2**24
             if has_sizes and 0 <= int(fields["mode"]) < 128:
                 return fields
     raise FileError(f"{path.name} is no MRC file. Check its name, or export it again.")
@@ -182,17 +198,21 @@ def _type_of(fields: Any, path: Path) -> DType:
 
 
 def _stated(fields: Any, letters: Texts, axes: Shape) -> Stated:
-    """Size of a voxel: the cell by its intervals.
+    """Size of a voxel: the cell by its intervals, along z, y, x.
 
-    Its axes may stand in another order than those of the array.
+    ``letters``: which axis of the cell each axis of the header is, fastest first, empty where it
+    does not say; ``axes``: numbers in the header of z, y and x.
     """
-    cell_lengths: list[float | None] = []
-    for axis in letters:
-        n_intervals = int(fields[f"m{axis}"]) if axis else 0
-        cell_lengths.append(float(fields["cella"][axis]) / n_intervals if n_intervals > 0 else None)
-    if all(length in (0.0, 1.0) for length in cell_lengths):
+    voxel_lengths: list[float | None] = []
+    for letter in letters:
+        n_intervals = int(fields[f"m{letter}"]) if letter else 0
+        length = None
+        if n_intervals > 0:
+            length = float(fields["cella"][letter]) / n_intervals
+        voxel_lengths.append(length)
+    if all(length in (0.0, 1.0) for length in voxel_lengths):
         note_text = "it is 0"
-        if cell_lengths[0]:
+        if voxel_lengths[0]:
             note_text = "1 Angstrom is what programs write when they do not know"
         return Stated("the MRC cell", NO_SIZE, note_text)
-    return stated_in("the MRC cell", cell_lengths, ["angstrom"] * 3, axes)
+    return stated_in("the MRC cell", voxel_lengths, ["angstrom"] * 3, axes)

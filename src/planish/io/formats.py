@@ -351,7 +351,9 @@ def grey_of(colour: Array, *, channel: str | None) -> Array:
     # In double precision 16-bit values come out exact, so that grey stored as colour stays what it
     # was.
     grey = colour[..., :3].astype(np.float64) @ np.array(LUMINANCE)
-    return (np.rint(grey) if colour.dtype.kind in "ui" else grey).astype(colour.dtype)
+    if colour.dtype.kind in "ui":
+        grey = np.rint(grey)
+    return grey.astype(colour.dtype)
 
 
 def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[str, str]:
@@ -365,11 +367,9 @@ def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[st
                 f"{path.name} is grey, so it has no {channel}. Leave `volume_channel` out."
             )
         return {}
-    choice_text = (
-        "no channel was chosen, so luminance is"
-        if channel is None
-        else f"the channel chosen is {channel}"
-    )
+    choice_text = f"the channel chosen is {channel}"
+    if channel is None:
+        choice_text = "no channel was chosen, so luminance is"
     return {"channel": channel or "luminance", "colour": f"The files are in colour; {choice_text}."}
 
 
@@ -385,18 +385,23 @@ def check_chunks(
     Writers leave out chunks that hold nothing but the fill value, so a few that are missing may be
     the air around a sample. A whole layer of the array without any is a copy that was cut off, or a
     wrong shape.
+
+    ``positions``: of the chunks that are stored, counted in chunks along each axis; ``shape`` of
+    the array and of one ``chunk``, in values.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
     expected = [*map(range, grid)]
+    # Chunks outside of it are left over by a larger array of this name.
     stored = [
         p for p in positions if len(p) == len(grid) and all(map(range.__contains__, expected, p))
     ]
     total = math.prod(grid)
     loss = f"{total - len(stored)} of its {total} chunks are not stored"
     names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
-    for axis, (n, c) in enumerate(zip(grid, chunk, strict=True)):
+    for axis, n in enumerate(grid):
         missing_indices = set(range(n)) - {position[axis] for position in stored}
         if missing_indices:
+            c = chunk[axis]
             first = c * min(missing_indices)
             raise FileError(
                 f"{name} has no values for {names[axis]} {first} to"

@@ -61,15 +61,12 @@ def link_of(group: Any, name: str) -> Any:
     None where a group has no such member.
     """
     # To ask h5py whether the group holds it would open the file that an external link names.
-    key = name.encode()
-    if (
-        not key
-        or "/" in name
-        or not isinstance(group, h5py.Group)
-        or not group.id.links.exists(key)
-    ):
+    if not name or "/" in name or not isinstance(group, h5py.Group):
         return None
+    key = name.encode()
     links: Any = group.id.links
+    if not links.exists(key):
+        return None
     kind = links.get_info(key).type
     if kind == h5py.h5l.TYPE_HARD:  # pyright: ignore[reportAttributeAccessIssue]
         return h5py.HardLink()
@@ -80,7 +77,10 @@ def link_of(group: Any, name: str) -> Any:
 
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:
-    """Follow a path through groups and links."""
+    """Follow a path through groups and links: file and path within it, ``/entry/data``.
+
+    The file is another one than ``path`` where an external link leads there.
+    """
     current_file = path
     group_path = ""
     remaining_names = path_words(name)
@@ -99,6 +99,7 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
                 group_path = f"{group_path}/{member_name}"
             else:
                 return current_file, group_path
+        # On from the target of the link: its own path, and what was to come behind the link.
         is_external = isinstance(link, h5py.ExternalLink)
         base_names = [] if is_external or link.path.startswith("/") else path_words(group_path)
         group_path = ""
@@ -124,7 +125,10 @@ def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
 
 
 def _storage_fault(dataset: h5py.Dataset, path: Path, depth: int) -> str:
-    """What is wrong with where a data set keeps its values; empty where nothing is."""
+    """What is wrong with where a data set keeps its values; empty where nothing is.
+
+    ``depth``: how many virtual data sets are made of each other to reach this one.
+    """
     if dataset.external:
         return (
             f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not"
@@ -138,7 +142,8 @@ def _storage_fault(dataset: h5py.Dataset, path: Path, depth: int) -> str:
             return "takes its parts from a pattern of files"
         file = _source_file(source, path)
         target, target_name = find_dataset(file, name)
-        if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
+        is_same_name = target_name.strip("/") == name.strip("/")
+        if not is_same_name or target.resolve() != file.resolve():
             return "reaches its parts through links"
         with opened(file) as source_file:
             source_dataset: Any = source_file[name]
@@ -233,7 +238,7 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, Texts]:
     Refuse one without values.
     """
     check_storage(dataset, path)
-    chunks = dataset.chunks
+    chunks = dataset.chunks  # the shape of one; None where the values lie in one piece
     shape = _shape_of(dataset)
     read_part = partial(_read_part, path, dataset.name, shape)
     array = FileArray(path, shape, dataset.dtype, read_part)
@@ -242,15 +247,16 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, Texts]:
         return array, ()
     if dataset.id.get_storage_size() == 0:
         raise damaged(path, f"{dataset.name} has no values stored")
-    n_chunks = 0
-    if chunks is not None:
-        n_chunks = np.prod(-(-np.array(shape) // chunks))
-    if chunks is None or dataset.id.get_num_chunks() == n_chunks:
+    if chunks is None:
+        return array, ()
+    n_chunks = np.prod(-(-np.array(shape) // chunks))
+    if dataset.id.get_num_chunks() == n_chunks:
         return array, ()
     positions: list[Shape] = []
 
     def note_position(chunk: Any) -> None:
-        positions.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
+        position = np.floor_divide(chunk.chunk_offset, chunks)
+        positions.append(tuple(position.tolist()))
 
     dataset.id.chunk_iter(note_position)
     return array, check_chunks(positions, shape, chunks, name=f"{path.name}: {dataset.name}")
@@ -281,9 +287,11 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
     if data is None:
         return None
     signal = _attribute(data, "signal")
+    # Older files mark the data set itself; without a mark it is called so.
     if not signal:
         sets = [key for key in data if isinstance(_child(data, key), h5py.Dataset)]
-        signal = next((key for key in sets if "signal" in data[key].attrs), "data")
+        marked = [key for key in sets if "signal" in data[key].attrs]
+        signal = [*marked, "data"][0]
     return None if link_of(data, signal) is None else f"{data.name}/{signal}"
 
 
@@ -296,9 +304,8 @@ def _default_group(group: Any, kind: str) -> Any:
         return None
     default_member = _child(group, _attribute(group, "default"))
     for members in ([default_member], [_child(group, key) for key in group]):
-        candidates = [
-            m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind
-        ]
+        groups = [member for member in members if isinstance(member, h5py.Group)]
+        candidates = [member for member in groups if _attribute(member, "NX_class") == kind]
         if len(candidates) == 1:
             return candidates[0]
     return None
@@ -331,6 +338,7 @@ def _scales(dataset: Any) -> list[Any]:
     if "DIMENSION_LIST" not in dataset.attrs:
         return none_attached
     stored_type = dataset.attrs.get_id("DIMENSION_LIST").dtype
+    # For each dimension a list of references, or one.
     if not h5py.check_ref_dtype(h5py.check_vlen_dtype(stored_type) or stored_type):
         return none_attached
     references = np.ravel(dataset.attrs["DIMENSION_LIST"])
@@ -342,10 +350,10 @@ def _scales(dataset: Any) -> list[Any]:
 
 def _emd_scales(dataset: Any) -> list[Any]:
     """The data sets ``dim1``, ``dim2`` … beside the values of an EMD file, as its axes."""
-    members = [_child(dataset.parent, f"dim{axis + 1}") for axis in range(len(dataset.shape))]
+    numbers = range(1, len(dataset.shape) + 1)
     if "emd_group_type" in dataset.parent.attrs:
-        return members
-    return [None] * len(dataset.shape)
+        return [_child(dataset.parent, f"dim{number}") for number in numbers]
+    return [None for _ in numbers]
 
 
 def _last_word(member: Any) -> str:
@@ -357,13 +365,14 @@ def _last_word(member: Any) -> str:
 def _coordinates_along(dataset: Any, axis: int, namings: Sequence[AxisNames]) -> Coordinates | None:
     """Coordinates of an axis: a scale of it, or a data set beside it with the axis's name."""
     members = [_child(dataset.parent, naming.names[axis]) for naming in namings]
+    n_values = dataset.shape[axis]
     for member in (_scales(dataset)[axis], _emd_scales(dataset)[axis], *members):
         # netCDF writes a scale without coordinates for a dimension that has none.
         is_empty = _attribute(member, "NAME").startswith("This is a netCDF dimension but not")
         if is_empty or not isinstance(member, h5py.Dataset):
             continue
         is_plain = not member.is_virtual and not member.external
-        is_one_row = member.shape == (dataset.shape[axis],) and member.shape[0] < MOST_COORDINATES
+        is_one_row = member.shape == (n_values,) and n_values < MOST_COORDINATES
         if is_plain and is_one_row and member.dtype.kind in "uif":
             return Coordinates(_last_word(member), member[()], _attribute(member, "units"))
     return None

@@ -83,7 +83,10 @@ def packing_of(path: Path) -> str:
 
 
 def values_behind(header: Header) -> Values:
-    """Map values, or leave them to be unpacked."""
+    """Map the values that a header declares, or leave them to be unpacked.
+
+    FileError where the file does not hold as many bytes as declared.
+    """
     data_file = header.data
     needed_bytes = header.needed_bytes
     file_bytes = size_of_file(header.data)
@@ -133,7 +136,9 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
                 packed = file.read(PACKED_BYTES)
                 if not packed:
                     break
-            part = unpacker.decompress(packed, min(needed_bytes - n_unpacked + 1, UNPACKED_BYTES))
+            # A byte more than needed shows that there are too many.
+            most_bytes = min(needed_bytes - n_unpacked + 1, UNPACKED_BYTES)
+            part = unpacker.decompress(packed, most_bytes)
             packed = b"" if is_bzip2 else unpacker.unconsumed_tail
             n_unpacked += len(part)
             if 0 < n_unpacked <= needed_bytes:
@@ -167,7 +172,7 @@ def axes_of(
         raise VolumeError(
             f"{path.name} {fault_text}: {size_words(extents)} (fastest axis first). {ADVICE}"
         )
-    stored_namings = [naming._replace(names=naming.names[::-1]) for naming in namings]
+    stored_namings = [AxisNames(source, names[::-1]) for source, names in namings]
     placed = place_axes(slowest_first, stored_namings, path.name)
     return StoredAxes(
         shape=tuple(slowest_first[axis] for axis in stored_axes),

@@ -124,7 +124,10 @@ def _either(fields: Fields, name: str, default: object) -> Any:
 
 
 def _nrrd_header(head: bytes, path: Path) -> Header:
-    """Header of an NRRD file, whose values lie behind it or in one other file."""
+    """Header of an NRRD file, whose values lie behind it or in one other file.
+
+    ``head``: the first bytes of the file, more than any header has.
+    """
     import nrrd  # pyright: ignore[reportMissingTypeStubs]
 
     if not head.startswith(b"NRRD"):
@@ -149,16 +152,18 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         )
     data_name = _either(fields, "data file", None)
     data_file = path
-    header_bytes = sum(map(len, header_lines))
+    offset = sum(map(len, header_lines)) + byte_skip
     if data_name is not None:
         data_file = _data_file(str(data_name), path)
-        header_bytes = 0
+        offset = byte_skip
+    if byte_skip == -1:  # the values end with the file
+        offset = -1
     return Header(
         path=path,
         data=data_file,
         axes=axes,
         stored_dtype=dtype,
-        offset=-1 if byte_skip == -1 else byte_skip + header_bytes,
+        offset=offset,
         packing=PACKINGS[encoding],
         stated=_stated_by_nrrd(fields, axes.header_axes),
         orientations=_oriented_by_nrrd(fields, axes.header_axes),
@@ -177,7 +182,10 @@ def _nrrd_type(fields: Fields, path: Path) -> DType:
 
 
 def _nrrd_axes(fields: Fields, extents: Shape, path: Path) -> StoredAxes:
-    """Axes of an NRRD file, each of space or time."""
+    """Axes of an NRRD file, each of space or time; ``extents`` are their lengths, fastest first.
+
+    An axis of another kind that is longer than 1 holds samples of a voxel, and is refused.
+    """
     kinds = fields.get("kinds") or [""] * len(extents)
     dimension = fields.get("dimension")
     if not extents or len(extents) != dimension or len(kinds) != len(extents):
@@ -193,13 +201,19 @@ def _nrrd_axes(fields: Fields, extents: Shape, path: Path) -> StoredAxes:
 def _names_by_nrrd(fields: Fields, kinds: Sequence[str]) -> list[AxisNames]:
     """Names of the axes by their labels, and by the kind of an axis of time; fastest axis first."""
     kind_names = tuple("time" if kind == "time" else "" for kind in kinds)
-    labels = tuple(str(label) for label in fields.get("labels") or [""] * len(kinds))
-    namings = [AxisNames("its kinds", kind_names), AxisNames("its labels", labels)]
-    return [naming for naming in namings if len(naming.names) == len(kinds) and any(naming.names)]
+    labels = tuple(map(str, fields.get("labels") or ()))
+    namings = [AxisNames("its kinds", kind_names)] if any(kind_names) else []
+    if any(labels) and len(labels) == len(kinds):
+        namings.append(AxisNames("its labels", labels))
+    return namings
 
 
 def _oriented_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Orientation]:
-    """Where the axes run by the space directions, in a right-handed space."""
+    """Where the axes run by the space directions, in a right-handed space.
+
+    ``axes``: numbers in the header of z, y and x. Empty where there are no directions in three
+    dimensions.
+    """
     space = str(fields.get("space", "")).strip().casefold()
     directions = fields.get("space directions")
     if directions is None:
@@ -207,6 +221,7 @@ def _oriented_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Orientation]:
     rows = np.asarray(directions, np.float64)[list(axes)]
     if rows.shape != (3, 3) or not np.isfinite(rows).all():
         return []
+    # Where each axis of the file's own space runs in a right-handed one.
     words = SPACES.get(space, space).split("-")[:3]
     basis = [ANATOMICAL[word] for word in words if word in ANATOMICAL]
     if len(basis) != 3:
@@ -216,13 +231,18 @@ def _oriented_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Orientation]:
 
 
 def _stated_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Stated]:
-    """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
+    """Voxel size along z, y, x: the lengths of the space directions, and the spacings.
+
+    ``axes``: numbers in the header of z, y and x.
+    """
     stated: list[Stated] = []
     directions = fields.get("space directions")
     if directions is not None:
-        lengths = np.linalg.norm(np.asarray(directions, np.float64), axis=1).tolist()
+        vectors = np.asarray(directions, np.float64)
+        lengths = np.linalg.norm(vectors, axis=1).tolist()
         # A direction may mix the axes of space only if all of these have one unit.
-        unit_names = {str(u).strip('"') for u in np.atleast_1d(fields.get("space units", ()))}
+        space_units = np.atleast_1d(fields.get("space units", ()))
+        unit_names = {str(unit_name).strip('"') for unit_name in space_units}
         unit = unit_text = ""
         if len(unit_names) == 1:
             unit = unit_names.pop()
@@ -233,7 +253,7 @@ def _stated_by_nrrd(fields: Fields, axes: Sequence[int]) -> list[Stated]:
         stated.append(stated_in(source, lengths, [unit] * len(lengths), axes))
     spacings = fields.get("spacings")
     if spacings is not None:
-        units = [str(u) for u in np.atleast_1d(fields.get("units", ()))]
+        units = [*map(str, np.atleast_1d(fields.get("units", ())))]
         lengths = np.asarray(spacings, np.float64).tolist()
         stated.append(stated_in("the NRRD spacings", lengths, units, axes))
     return stated
@@ -261,7 +281,10 @@ def _switched(field_text: str) -> bool:
 
 
 def _meta_header(head: bytes, path: Path) -> Header:
-    """Header of a MetaImage, whose values lie behind it or in one other file."""
+    """Header of a MetaImage, whose values lie behind it or in one other file.
+
+    ``head``: the first bytes of the file, more than any header has.
+    """
     fields, header_bytes = _meta_fields(head, path)
     axes = _meta_axes(fields, path)
     dtype = _type_of(fields.get("elementtype", ""), path)
@@ -301,12 +324,12 @@ def _meta_axes(fields: Mapping[str, str], path: Path) -> StoredAxes:
     size_text = fields.get("dimsize", "")
     dimension = fields.get("ndims")
     words = size_text.split()
-    is_whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
+    is_whole = all(re.fullmatch(r"[0-9]{1,15}", word) for word in words)
     if not is_whole or str(len(words)) != (dimension or ""):
         raise damaged(path, f"its sizes are {size_text[:40]!r}, its dimension is {dimension}")
     channels = fields.get("elementnumberofchannels", "1")
     contents_text = f"{channels} channels" if channels != "1" else ""
-    return axes_of(tuple(int(word) for word in words), path, contents_text=contents_text)
+    return axes_of(tuple(map(int, words)), path, contents_text=contents_text)
 
 
 def _stated_by_meta(fields: Mapping[str, str], axes: StoredAxes, path: Path) -> list[Stated]:
@@ -327,19 +350,24 @@ def _stated_by_meta(fields: Mapping[str, str], axes: StoredAxes, path: Path) -> 
 def _oriented_by_meta(
     fields: Mapping[str, str], axes: Sequence[int], path: Path
 ) -> list[Orientation]:
-    """Where the axes run by the matrix of a MetaImage, or by its letters where it has none."""
+    """Where the axes run by the matrix of a MetaImage, or by its letters where it has none.
+
+    ``axes``: numbers in the header of z, y and x.
+    """
     for key in ("TransformMatrix", "Rotation", "Orientation"):
         words = fields.get(key.casefold(), "").split()
         if words:
             with reading(path):
                 matrix = np.array([*map(float, words)])
             n = round(len(words) ** 0.5)
-            if n * n != len(words) or n <= max(axes) or not np.isfinite(matrix).all():
+            is_square = n * n == len(words) and n > max(axes)
+            if not is_square or not np.isfinite(matrix).all():
                 raise damaged(path, f"its {key} is {' '.join(words)[:60]!r}")
             # A row for each axis of the file: where it runs in space.
             rows = matrix.reshape(n, n)[list(axes)]
-            if n != 3:
-                rows = rows[:, np.any(rows != 0, axis=0)][:, :3]
+            if n != 3:  # of four dimensions, those along which none of the three runs are left out
+                is_used = np.any(rows != 0, axis=0)
+                rows = rows[:, is_used][:, :3]
             if rows.shape == (3, 3):
                 return [Orientation(f"the {key}", rows)]
             return []
@@ -351,6 +379,7 @@ def _oriented_by_meta(
 
 
 def _read_meta(path: Path, where: Where) -> Array:
+    """Read a part of a MetaImage; ``where`` is along its axes longer than 1, slowest first."""
     itk: Any = extra("SimpleITK", path)
     reader = itk.ImageFileReader()
     reader.SetImageIO("MetaImageIO")
@@ -363,8 +392,8 @@ def _read_meta(path: Path, where: Where) -> Array:
     reader.SetExtractIndex([span.start for span in spans])
     reader.SetExtractSize([span.stop - span.start for span in spans])
     image = itk.GetArrayFromImage(reader.Execute())
-    values = np.asarray(image).reshape([s.stop - s.start for s in where])
-    return values[tuple(slice(None, None, s.step) for s in where)]
+    values = np.asarray(image).reshape([span.stop - span.start for span in where])
+    return values[tuple(slice(None, None, span.step) for span in where)]
 
 
 BYTE_TYPES = ("uint8", "int8")
@@ -388,7 +417,10 @@ EXAMPLE = (
 
 
 def _raw_header(path: Path) -> Header:
-    """Header of raw values in a TOML file; either of the two files is given."""
+    """Header of raw values in a TOML file; either of the two files is given.
+
+    The header of ``scan.raw`` is ``scan.raw.toml``.
+    """
     header_file = path
     if path.suffix.lower() != ".toml":
         header_file = path.with_name(path.name + ".toml")
@@ -410,13 +442,15 @@ def _raw_header(path: Path) -> Header:
     if voxel_um is not None:
         stated = Stated("the TOML header", tuple(map(float, _per_axis(voxel_um))))
     dtype = np.dtype(fields["dtype"])
+    if dtype.itemsize > 1:
+        dtype = dtype.newbyteorder(fields["byte_order"])
     order = (0, 1, 2)
     return Header(
         path=header_file,
         data=data_file,
         axes=StoredAxes(tuple(fields["shape"]), order, order, ()),
         offset=fields.get("offset", 0),
-        stored_dtype=dtype.newbyteorder(fields["byte_order"]) if dtype.itemsize > 1 else dtype,
+        stored_dtype=dtype,
         stated=[stated],
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.reflectance import LUMINANCE
-from planish.core.typing import Array, Pair, Singles
+from planish.core.typing import Array, Entries, Pair, Singles
 from planish.io.formats import COLOURS, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.orientation import orientation_attrs, tag_orientation
@@ -110,7 +110,7 @@ def read_image(
     tone = picture.tone
     if picture.in_colour and not tone.camera:
         tone = tone._replace(camera="a colour camera")
-    attrs = {
+    attrs: Entries = {
         "units": "1",
         "long_name": long_name,
         **size_attrs(PIXEL, size, source, stated),
@@ -123,7 +123,10 @@ def read_image(
         "file_bytes": size_of_file(path),
         **tone._asdict(),
     }
-    attrs |= {k: v for k, v in (("side", side), ("gamma", gamma)) if v is not None}
+    if side is not None:
+        attrs["side"] = side
+    if gamma is not None:
+        attrs["gamma"] = gamma
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 
@@ -157,9 +160,10 @@ def pick_channel(
 def channel_of(
     picture: DecodedPicture, channel: str, *, file_name: str, gamma: Gamma | None = None
 ) -> tuple[Singles, str]:
-    """One channel as float32, of a whole picture or a window of it, and its name.
+    """One channel (y, x) as float32, of a whole picture or a window of it, and its long name.
 
-    In linear grey where the curve is given that it is coded with.
+    ``channel`` as in :func:`read_image`. In linear grey where the curve is given that it is coded
+    with. What is not finite is NaN. InputError where there is no such channel.
     """
     if gamma is not None:
         scale = full_scale(picture.values.dtype, picture.bits)

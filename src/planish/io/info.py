@@ -204,6 +204,7 @@ def _describe_volume(
 
 
 def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list[str]) -> Entries:
+    """Report what serial sections hold; between them some may be missing."""
     steps_um = np.diff(sections.positions_um)
     pitch_um = float(np.median(steps_um))
     n_missing = np.rint(steps_um / pitch_um).astype(int) - 1
@@ -211,9 +212,9 @@ def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list
     if size_facts["extent_um"] is not None:
         size_facts["extent_um"][0] = float(np.ptp(sections.positions_um)) + pitch_um
     if missing_total := n_missing.sum():
-        subject_text = (
-            f"{missing_total} section is" if missing_total == 1 else f"{missing_total} sections are"
-        )
+        subject_text = f"{missing_total} sections are"
+        if missing_total == 1:
+            subject_text = "1 section is"
         warnings.append(
             f"{subject_text} missing between the others, at most {n_missing.max()} in a row."
         )
@@ -234,7 +235,8 @@ def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
     full_values = picture.values
     shape = picture.values.shape[:2]
     # Of a larger image, some rows and columns are looked at.
-    stride = max(1, math.ceil(math.sqrt(math.prod(shape) / SAMPLE_VALUES)))
+    n_pixels = math.prod(shape)
+    stride = max(1, math.ceil(math.sqrt(n_pixels / SAMPLE_VALUES)))
     picture = picture._replace(values=full_values[::stride, ::stride])
     try:
         channel_values, _ = pick_channel(picture, "luminance", file_name=path.name)
@@ -254,7 +256,6 @@ def _describe_image(path: Path, find_size: Agreed, look_at: _Look) -> Entries:
     stated = across(picture.stated)
     find_size = partial(find_size, stated)
     size_facts = _size_facts(find_size, shape, warnings, stated, PIXEL.usual_um)
-    n_pixels = math.prod(shape)
     return {
         "bytes": size_of_file(path),
         **facts,
@@ -303,7 +304,8 @@ def _size_facts(
 ) -> Entries:
     """Voxel or pixel size and where it comes from, or why there is none.
 
-    Unusual ones are doubted, and those that nobody may have measured.
+    Unusual ones are doubted, and those that nobody may have measured. ``shape``: along the axes
+    that have a size; ``usual_um``: from the least to the greatest edge that is not doubted.
     """
     facts: Entries = dict.fromkeys(("size_um", "size_source", "size_problem", "extent_um"))
     try:

@@ -55,7 +55,10 @@ class _Totals:
 def inspect_values(
     values: Values, full_scale: int | None, warnings: list[str], *, dims: Texts
 ) -> Entries:
-    """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
+    """Shape, type and distribution of the values; what looks wrong is added to `warnings`.
+
+    ``full_scale``: the largest value that can be stored; None for floating point.
+    """
     n_planes = values.shape[0]
     plane_numbers = [*range(n_planes)]
     sampled_text = None
@@ -63,7 +66,8 @@ def inspect_values(
     if values.ndim > 2 and values.nbytes > EAGER_BYTES:
         n_sampled = max(8, SAMPLE_BYTES // (values.nbytes // n_planes))
         if n_sampled < n_planes:
-            plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
+            spread = np.linspace(0, n_planes - 1, n_sampled).round()
+            plane_numbers = [*map(int, spread)]
             sampled_text = f"{n_sampled} of {n_planes} slices"
     totals = _look(values, plane_numbers, full_scale)
     facts: Entries = declared_facts(values, dims) | {
@@ -74,7 +78,9 @@ def inspect_values(
         "percentiles": dict.fromkeys(map(str, PERCENTILES)),
     }
     if totals.n_finite:
-        facts["percentiles"] = {str(p): float(np.percentile(totals.sample, p)) for p in PERCENTILES}
+        for p in PERCENTILES:
+            value = float(np.percentile(totals.sample, p))
+            facts["percentiles"][str(p)] = value
         facts |= {"min": totals.low, "max": totals.high}
     warnings += _what_looks_wrong(totals, facts, full_scale, is_whole=values.dtype.kind in "ui")
     return facts
@@ -85,6 +91,7 @@ def _what_looks_wrong(
 ) -> list[str]:
     """Say what looks wrong in values, whole numbers or not, with their shares among the facts."""
     warnings: list[str] = []
+    # The sample is sorted: each step in it is another level.
     n_levels = int(np.count_nonzero(np.diff(totals.sample)) + 1)
     if not totals.n_finite:
         warnings.append("There is no number in it, all values are missing.")
@@ -121,10 +128,15 @@ def _what_looks_wrong(
 
 
 def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _Totals:
-    """Read planes one by one, and note what their values are."""
+    """Read planes one by one, and note what their values are.
+
+    Of an image (y, x) they are its rows.
+    """
     share = len(plane_numbers) / values.shape[0]
     n_values = math.prod(values.shape) * share
-    stride = max(1, math.ceil((n_values / SAMPLE_VALUES) ** (1 / values.ndim)))
+    # One value in so many along each axis goes into the sample.
+    excess = n_values / SAMPLE_VALUES
+    stride = max(1, math.ceil(excess ** (1 / values.ndim)))
     totals = _Totals()
     samples = list[Array]()
     digests = set[bytes]()
@@ -135,7 +147,8 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
             samples.append(_finite_sample(plane, stride))
         # Slices with fewer pixels may well be alike, or of one grey.
         if plane.ndim == 2 and plane.size >= 1000:
-            digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
+            pixels = np.ascontiguousarray(plane).data
+            digest = hashlib.blake2b(pixels, digest_size=16).digest()
             if not has_greys:
                 totals.constant_numbers.append(number)
             elif digest in digests:
@@ -157,8 +170,13 @@ def _finite_sample(plane: Array, stride: int) -> Array:
 def declared_facts(values: Values, dims: Texts) -> Entries:
     """Give the facts without those of the values, which are None."""
     value_keys = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
-    header_facts = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
-    return header_facts | dict.fromkeys(value_keys) | {"sampled": "none"}
+    return {
+        "dims": list(dims),
+        "shape": list(values.shape),
+        "dtype": str(values.dtype),
+        **dict.fromkeys(value_keys),
+        "sampled": "none",
+    }
 
 
 _SIDE = 480  # pixels along the longer side of a section
@@ -196,7 +214,8 @@ def middle_sections(values: Values) -> list[Section]:
         along_y.append(plane[:, cols // 2].copy())
     down_x = _section("z", "x", np.stack(along_x), (stride, 1))
     down_y = _section("z", "y", np.stack(along_y), (stride, 1))
-    return [down_x, down_y, _section("y", "x", np.asarray(values[depth // 2]), (1, 1))]
+    middle_plane = np.asarray(values[depth // 2])
+    return [down_x, down_y, _section("y", "x", middle_plane, (1, 1))]
 
 
 def best_section(sections: list[Section], through: str | None) -> Section:
@@ -211,8 +230,9 @@ def best_section(sections: list[Section], through: str | None) -> Section:
     through : str, optional
         Axis of the normal; the first section is given where it is not known.
     """
-    candidates = [s for s in sections if through in (s.down, s.across)]
-    return next((s for s in candidates if s.down == through), (candidates or sections)[0])
+    reading_down = [section for section in sections if section.down == through]
+    reading_across = [section for section in sections if section.across == through]
+    return [*reading_down, *reading_across, *sections][0]
 
 
 def write_picture(sections: list[Section], path: Path) -> None:
@@ -232,12 +252,15 @@ def write_picture(sections: list[Section], path: Path) -> None:
     ResourceError
         If the disk is full.
     """
-    sides = [np.multiply(s.grey.shape, s.step) for s in sections]
-    pictures = [_resized(s, _SIDE / int(np.max(sides))) for s in sections]
+    sides = [np.multiply(section.grey.shape, section.step) for section in sections]
+    scale = _SIDE / int(np.max(sides))
+    pictures = [_resized(section, scale) for section in sections]
     max_rows = max(map(len, pictures))
-    padded = [
-        np.pad(grey, ((0, max_rows - len(grey)), (0, 8)), constant_values=255) for grey in pictures
-    ]
+    # White below the lower ones, and 8 pixels of it between them.
+    padded: list[Grey] = []
+    for grey in pictures:
+        margins = ((0, max_rows - len(grey)), (0, 8))
+        padded.append(np.pad(grey, margins, constant_values=255))
     row = np.ascontiguousarray(np.hstack(padded)[:, :-8])
     write_whole(path, bytes(imagecodecs.png_encode(row)))
 
@@ -247,19 +270,28 @@ def as_text(section: Section) -> list[str]:
     rows, cols = np.multiply(section.grey.shape, section.step).tolist()
     scale = min(72 / cols, 18 * _HIGH_AS_WIDE / rows)
     grey = _resized(section, scale, squeeze=_HIGH_AS_WIDE)
-    shade = np.minimum(grey.astype(int) * len(_SHADES) // 256, len(_SHADES) - 1)
-    lines = ["".join(row) for row in np.array([*_SHADES])[shade]]
+    shade_numbers = grey.astype(int) * len(_SHADES) // 256
+    lines = ["".join(row) for row in np.array([*_SHADES])[shade_numbers]]
     return [*lines, f"middle of the volume: {section.down} down, {section.across} across"]
 
 
 def _section(down: str, across: str, plane: Array, step: Shape2D) -> Section:
-    strides = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
-    plane = plane[:: strides[0], :: strides[1]].astype(np.float64)
+    """A section of at most about `_SIDE` steps, from the 1st to the 99th percentile of its grey.
+
+    ``step``: voxels from one row, and one column, of the plane to the next. NaN becomes 0.
+    """
+    down_step, across_step = step
+    rows, cols = plane.shape
+    row_stride = max(1, -(-rows * down_step // _SIDE) // down_step)
+    col_stride = max(1, -(-cols * across_step // _SIDE) // across_step)
+    plane = plane[::row_stride, ::col_stride].astype(np.float64)
     finite_values = plane[np.isfinite(plane)]
-    low, high = np.percentile(finite_values, [1, 99]) if finite_values.size else (0.0, 1.0)
-    grey = np.clip((plane - low) / max(high - low, 1e-300), 0.0, 1.0)
-    step = (step[0] * strides[0], step[1] * strides[1])
-    return Section(down, across, (255 * np.nan_to_num(grey)).astype(np.uint8), step)
+    low, high = (0.0, 1.0)
+    if finite_values.size:
+        low, high = np.percentile(finite_values, [1, 99])
+    share = np.clip((plane - low) / max(high - low, 1e-300), 0.0, 1.0)
+    grey = (255 * np.nan_to_num(share)).astype(np.uint8)
+    return Section(down, across, grey, (down_step * row_stride, across_step * col_stride))
 
 
 def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:

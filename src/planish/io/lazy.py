@@ -71,7 +71,7 @@ class PagedArray(FileArray):
         return PagedArray, (self.path, self.shape, self.dtype, self.unit_rows, self.rows)
 
     def _read_pages(self, where: Where) -> Array:
-        """Read a part page by page."""
+        """Read a part page by page; ``where`` is along pages, rows, and what lies in a row."""
         pages, rows, *across = where
         first_strip = rows.start // self.unit_rows
         end_strip = -(-rows.stop // self.unit_rows)
@@ -79,7 +79,7 @@ class PagedArray(FileArray):
         within = (slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)
         values = np.empty(lengths(where), self.dtype)
         for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
-            if self.unit_rows == 1:
+            if self.unit_rows == 1:  # nothing more than asked for is decoded, and nothing kept
                 page_rows = self.rows(page, rows.start, rows.stop)
             else:
                 strips = [self._strip(page, k) for k in range(first_strip, end_strip)]
@@ -89,7 +89,8 @@ class PagedArray(FileArray):
 
     def _decoded(self, page: int, number: int) -> Array:
         first_row = number * self.unit_rows
-        return self.rows(page, first_row, min(first_row + self.unit_rows, self.shape[1]))
+        end_row = min(first_row + self.unit_rows, self.shape[1])
+        return self.rows(page, first_row, end_row)
 
 
 def stored_array(
@@ -106,7 +107,10 @@ def stored_array(
 def _read_planes(
     stored_planes: Sequence[tuple[Path, int]], shape: Shape, stored_dtype: DType, where: Where
 ) -> Array:
-    """Read whole rows, plane by plane, and keep a part of them."""
+    """Read whole rows, plane by plane, and keep a part of them.
+
+    ``stored_planes``: file and first byte of each plane; ``shape`` is that of the whole array.
+    """
     planes, rows, *across = where
     values = np.empty(lengths(where), stored_dtype.newbyteorder("="))
     rows_shape = (rows.stop - rows.start, *shape[2:])
@@ -114,10 +118,11 @@ def _read_planes(
     skip_bytes = rows.start * math.prod(shape[2:]) * stored_dtype.itemsize
     for i, (path, offset) in enumerate(stored_planes[planes]):
         first_byte = offset + skip_bytes
-        plane_values = np.fromfile(path, stored_dtype, n_values, offset=first_byte)
-        if plane_values.size < n_values:
+        row_values = np.fromfile(path, stored_dtype, n_values, offset=first_byte)
+        if row_values.size < n_values:
             raise damaged(path, f"it ends within the rows at byte {first_byte}")
-        values[i] = plane_values.reshape(rows_shape)[(slice(None, None, rows.step), *across)]
+        within = (slice(None, None, rows.step), *across)
+        values[i] = row_values.reshape(rows_shape)[within]
     return values
 
 
@@ -130,9 +135,11 @@ def stored_planes(path: Path, shape: Shape, stored_dtype: DType, *, offset: int)
 
 def unmapped(array: Values) -> Values:
     """The values of a mapped file, read part by part; anything else as it is."""
+    if not isinstance(array, np.memmap) or array.filename is None:
+        return array
     # A part or a turned view of a mapped file still carries its name and offset, but lies elsewhere
     # in it.
-    if not isinstance(array, np.memmap) or array.filename is None or not array.flags.c_contiguous:
+    if not array.flags.c_contiguous:
         return array
     return stored_planes(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
@@ -194,16 +201,17 @@ class ViewArray(FileArray):
             inner_slices[axis] = axis_slice
         part = self.inner.read(tuple(inner_slices))
         turned = np.moveaxis(part, self.order, range(len(self.order)))
-        return np.asarray(self.change(turned), self.dtype).reshape(lengths(where))
+        changed = np.asarray(self.change(turned), self.dtype)
+        return changed.reshape(lengths(where))
 
 
 def reordered(values: Values, order: Sequence[int]) -> Values:
     """Values with their axes in another order, wherever they lie."""
-    if isinstance(values, FileArray) and [*order] != [*range(values.ndim)]:
-        return ViewArray(values, order)
-    if isinstance(values, FileArray):
+    if not isinstance(values, FileArray):
+        return values.transpose(order)
+    if [*order] == [*range(values.ndim)]:
         return values
-    return values.transpose(order)
+    return ViewArray(values, order)
 
 
 def supported_type(dtype: DType) -> DType:
@@ -216,7 +224,8 @@ def supported_type(dtype: DType) -> DType:
 def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
     """Read an array at once where it is small, and leave it in its file otherwise.
 
-    Float16 becomes float32.
+    Small is what :func:`is_small` says for ``memory_bytes``, None for three quarters of the memory
+    available. Float16 becomes float32.
     """
     limit = memory_limit(memory_bytes)
     array = unmapped(array) if array.nbytes > limit else array

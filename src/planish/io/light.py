@@ -145,7 +145,9 @@ def correct_light(
     check_image(image, "pl.correct_light({}, white=white)")
     grey = np.asarray(image.values)
     sources = {"white": white} if dark is None else {"white": white, "dark": dark}
-    pictures = {name: np.array(values_of(m, name), np.float32) for name, m in sources.items()}
+    pictures: dict[str, Grey] = {}
+    for name, source in sources.items():
+        pictures[name] = np.array(values_of(source, name), np.float32)
     _check_pictures(grey, pictures)
     white_grey = pictures["white"]
     dark_grey = pictures.get("dark", np.zeros((2, 2), np.float32))
@@ -160,6 +162,7 @@ def correct_light(
         is_unknown = ~np.isfinite(picture)
         picture[is_unknown] = np.nan
         is_missing |= resized(is_unknown.astype(np.float32), grey.shape) > 0
+    # White and dark without their noise; errors are squared, noise is a variance, in grey².
     field, field_error, field_noise = smooth(white_grey)
     zero, zero_error, zero_noise = smooth(dark_grey)
     zero = resized(zero, grey.shape)
@@ -191,13 +194,17 @@ def correct_light(
     reflectance *= factor
     is_valid = status == MEASURED
     lowest, highest = np.nanpercentile(signal, [1, 99])
+    # Fine contrast of the light and of the image, each over its median; as many pixels of the
+    # white apart, where it has fewer.
     lag = _LAG * round(grey.shape[0] / white_grey.shape[0])
     contrast = _noise_variance(signal, lag) / level**2
     variance_of_image = _noise_variance(grey, lag)
     texture = 0.0
     if variance_of_image > 0:
         texture = contrast / variance_of_image * float(np.nanmedian(grey - zero)) ** 2
-    names = (getattr(source, "attrs", {}).get("file_name", k) for k, source in sources.items())
+    names: list[str] = []
+    for name, source in sources.items():
+        names.append(getattr(source, "attrs", {}).get("file_name", name))
     shares = np.bincount(status.ravel(), minlength=len(STATES)) / grey.size
     facts = LightFacts(
         files=tuple(names),
@@ -236,12 +243,15 @@ def read_corrected(params: ImageParams) -> tuple[xr.DataArray, CorrectedImage | 
 
 
 def smooth(values: Grey) -> tuple[Grey, Grey, float]:
-    """Smooth a picture as far as its own noise asks.
+    """Smooth a picture (y, x) as far as its own noise asks.
 
-    Gives it with its squared error and the variance of its noise; what is missing is the median.
+    Gives it with its squared error at each pixel and the variance of its noise; what is missing
+    (NaN) is the median.
     """
     values = np.where(np.isnan(values), np.nanmedian(values), values)
     noise = _noise_variance(values)
+    # What is left of the noise in a mean over 9 pixels says how many share it; the lag is beyond
+    # these means.
     mean_noise = _noise_variance(_mean(values, 9), lag=32) / _squared_weights(9)
     n_correlated = max(1.0, mean_noise / noise) if noise > 0 else 1.0  # pixels with common noise
     smoothed = values
@@ -251,7 +261,10 @@ def smooth(values: Grey) -> tuple[Grey, Grey, float]:
             break
         mean = _mean(values, width)
         own_share = min(1.0, n_correlated / width**2)  # of a pixel's noise in its mean
-        loss = _mean((values - mean) ** 2, _WINDOW) + noise * (2 * own_share - 1)
+        # Stein's estimate of the squared error of the mean.
+        square_difference = _mean((values - mean) ** 2, _WINDOW)
+        loss = square_difference + noise * (2 * own_share - 1)
+        # By the noise alone, below which an estimate may fall by chance.
         mean_error = noise * n_correlated * _squared_weights(width)
         is_better = loss < error
         smoothed = np.where(is_better, mean, smoothed)
@@ -279,7 +292,9 @@ def _noise_variance(values: Grey, lag: int = _LAG) -> float:
     rows = values[lag:] - values[:-lag]
     mixed = rows[:, lag:] - rows[:, :-lag]
     n_rows, n_cols = (length // _BLOCK for length in mixed.shape)
-    blocks = mixed[: n_rows * _BLOCK, : n_cols * _BLOCK].reshape(n_rows, _BLOCK, n_cols, _BLOCK)
+    whole_blocks = mixed[: n_rows * _BLOCK, : n_cols * _BLOCK]
+    blocks = whole_blocks.reshape(n_rows, _BLOCK, n_cols, _BLOCK)
+    # A mixed difference has four times the variance of a pixel.
     variances = (blocks**2).mean((1, 3))
     finite = variances[np.isfinite(variances)]
     if finite.size:
@@ -303,8 +318,10 @@ def _check_pictures(image: Grey, pictures: Mapping[str, Grey]) -> None:
             raise InputError(f"The {name} image has no pixel with a number in it. Export it again.")
         shape_text = " x ".join(map(str, picture.shape))
         # Binning may drop a part of a pixel along each side.
-        is_alike = picture.ndim == 2 and 2 <= len(picture) <= rows
-        is_alike = is_alike and abs(picture.shape[1] - cols * len(picture) / rows) <= 1
+        is_alike = False
+        if picture.ndim == 2 and 2 <= len(picture) <= rows:
+            expected_cols = cols * len(picture) / rows
+            is_alike = abs(picture.shape[1] - expected_cols) <= 1
         if not is_alike:
             raise InputError(
                 f"The {name} image has {shape_text or 1} pixels, the image {rows} x {cols}. Needed"

@@ -26,11 +26,10 @@ CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 
 def is_ours(array: StoredArray) -> bool:
     """Whether an array is packed as the maps of a run are."""
-    kinds = [type(codec) for codec in getattr(array.metadata, "codecs", ())]
-    return (
-        kinds == [BytesCodec, BloscCodec, Crc32cCodec]
-        and array.dtype.newbyteorder("<") == array.dtype
-    )
+    kinds = [*map(type, getattr(array.metadata, "codecs", ()))]
+    if kinds != [BytesCodec, BloscCodec, Crc32cCodec]:
+        return False
+    return array.dtype.newbyteorder("<") == array.dtype
 
 
 def write_chunks(folder: Path, array: StoredArray, where: Where, values: Array) -> None:
@@ -64,7 +63,8 @@ def _unpacked(file: Path, array: StoredArray) -> Array:
     if not file.is_file():
         return np.full(array.chunks, array.fill_value, array.dtype)
     packed = without_sum(file.read_bytes(), f"the chunk {file.name} of {array.path}")
-    return np.frombuffer(_BLOSC.decode(packed), array.dtype).reshape(array.chunks)
+    values = np.frombuffer(_BLOSC.decode(packed), array.dtype)
+    return values.reshape(array.chunks)
 
 
 def without_sum(raw: bytes, subject: str) -> bytes:

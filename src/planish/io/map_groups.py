@@ -57,12 +57,18 @@ def _write_array(
     first_arrays: dict[Any, StoredArray],
     key: str,
 ) -> None:
-    """Write a variable; ``first_arrays`` has one of each kind, by dimensions, shape and type."""
+    """Write the variable ``key`` of a dataset into its group of the store ``path``.
+
+    ``first_arrays`` has the first array of each kind, by dimensions, shape and type: others are
+    made like it. Written with the first of each is its name.
+    """
     variable = data.variables[key].copy(deep=False)
     folder = path / group.path / key
-    others = sorted({*map(str, data.coords)} - {key, *map(str, data.dims)})
-    if named := " ".join(k for k in others if {*data[k].dims} <= {*variable.dims}):
-        variable.attrs["coordinates"] = named
+    # Coordinates that are no axis, which xarray looks for in this attribute.
+    others = {*map(str, data.coords)} - {key, *map(str, data.dims)}
+    belonging = [name for name in sorted(others) if {*data[name].dims} <= {*variable.dims}]
+    if belonging:
+        variable.attrs["coordinates"] = " ".join(belonging)
     kind = variable.dims, variable.shape, variable.dtype
     if kind in first_arrays:
         _copy_metadata(path / first_arrays[kind].path, folder, variable.attrs)
@@ -89,9 +95,9 @@ def take_group(path: Path, source: Path, name: str) -> None:
 
     Chunks as links where the disk has these.
     """
-    overviews = f"{OVERVIEWS}/{name}"
-    for group in (name, overviews) if (source / overviews).is_dir() else (name,):
-        shutil.copytree(source / group, path / group, copy_function=_link_or_copy)
+    for group in (name, f"{OVERVIEWS}/{name}"):
+        if group == name or (source / group).is_dir():
+            shutil.copytree(source / group, path / group, copy_function=_link_or_copy)
     if (path / OVERVIEWS).is_dir():
         shutil.copy2(source / OVERVIEWS / _METADATA, path / OVERVIEWS)
 
@@ -128,7 +134,8 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
 def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
     """Names of the groups of a store that hold arrays, checked to be whole.
 
-    FileError as `read_tree`.
+    Those of ``among`` alone where it is given; otherwise all, behind them the smaller copies of
+    large ones. FileError as `read_tree`.
     """
     check_exists(path)
     if not (path / _METADATA).is_file():
@@ -188,7 +195,8 @@ def _check_chunks(path: Path, groups: Iterable[str]) -> None:
     root = zarr.open_group(path, mode="r")
     if not root.attrs.get(COMPLETE):
         return
-    for group in (zarr.open_group(path, path=name, mode="r") for name in groups):
+    for group_name in groups:
+        group = zarr.open_group(path, path=group_name, mode="r")
         for name, node in group.members(max_depth=None):
             if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
                 raise FileError(

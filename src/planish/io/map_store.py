@@ -80,7 +80,8 @@ class StoredMaps:
             return
         with writing(self.path):
             self._add(name, grid, tile, maps)
-            for k in range(1, overview_count(grid.shape) + 1 if name in self.stored else 1):
+            n_overviews = overview_count(grid.shape) if name in self.stored else 0
+            for k in range(1, n_overviews + 1):
                 # Tiles begin at multiples of more pixels than there are in one of the last
                 # overview.
                 maps = halved(maps)
@@ -91,6 +92,7 @@ class StoredMaps:
                 self._add(f"{OVERVIEWS}/{name}/{k}", grid, overview_tile, maps)
 
     def _add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
+        """Add a tile of one group or overview, which is made with the first one."""
         if name not in self._arrays:
             self._arrays[name] = self._create_arrays(name, grid, maps)
 
@@ -124,7 +126,8 @@ class StoredMaps:
         for axis, axis_um in axes.items():
             create_array(group, axis, maps[axis].variable, axis_um.shape)[:] = axis_um
         for key, data in maps.data_vars.items():
-            arrays[str(key)] = create_array(group, str(key), data.variable, grid.shape)
+            map_name = str(key)
+            arrays[map_name] = create_array(group, map_name, data.variable, grid.shape)
         self.stored.append(name)
         return arrays
 
@@ -136,7 +139,8 @@ class StoredMaps:
 
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
-        return {name: self.group(name) for name in self.stored if name.startswith(f"{OVERVIEWS}/")}
+        names = [name for name in self.stored if name.startswith(f"{OVERVIEWS}/")]
+        return {name: self.group(name) for name in names}
 
 
 def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
@@ -147,12 +151,18 @@ def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
 
 
 def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -> StoredArray:
-    """Make an array of a group, of the type, dimensions and attributes of a variable."""
+    """Make an array of a group, of the type, dimensions and attributes of a variable.
+
+    Its chunks are those of maps, or zarr's own where it has one axis only.
+    """
     dtype: Any = like.dtype
     fill_value: Any = np.nan if dtype.kind == "f" else 0
     if dtype.kind in "OU":
         dtype = str
         fill_value = ""
+    chunks = "auto"
+    if len(shape) > 1:
+        chunks = tuple(min(n, CHUNK) for n in shape)
     return group.create_array(
         key,
         shape=shape,
@@ -160,7 +170,7 @@ def create_array(group: zarr.Group, key: str, like: xr.Variable, shape: Shape) -
         fill_value=fill_value,
         compressors=CODECS,
         config={"write_empty_chunks": True},
-        chunks=tuple(min(n, CHUNK) for n in shape) if len(shape) > 1 else "auto",
+        chunks=chunks,
         dimension_names=[str(dim) for dim in like.dims],
         attributes=json_attrs(like.attrs),
     )
@@ -193,13 +203,16 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
         arrays: Any = sorted(group.arrays())
         for key, array in arrays:
             dims = tuple(map(str, array.metadata.dimension_names or ()))
-            attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
-            other_coords |= {*str(array.attrs.get("coordinates", "")).split()}
-            values = LazyArray(
-                array.shape, np.dtype(array.dtype), partial(_read_part, path, array, cache)
-            )
-            values = variable_data(values) if array.ndim == 2 else array[...]
-            (coords if dims == (key,) else variables)[key] = xr.Variable(dims, values, attrs)
+            attrs = dict(array.attrs)
+            attrs.pop("_FillValue", None)
+            other_coords |= {*str(attrs.pop("coordinates", "")).split()}
+            if array.ndim == 2:
+                read_part = partial(_read_part, path, array, cache)
+                values = variable_data(LazyArray(array.shape, np.dtype(array.dtype), read_part))
+            else:
+                values = array[...]
+            variable = xr.Variable(dims, values, attrs)
+            (coords if dims == (key,) else variables)[key] = variable
         coords |= {key: variables.pop(key) for key in other_coords & variables.keys()}
         maps = xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
         return _with_todays_names(maps) if _is_older(path) else maps
@@ -258,12 +271,14 @@ class PartCache:
 
     def part(self, path: Path, array: Any, where: Where) -> Array:
         """A part of an array of the store at ``path``, which the caller may write to."""
-        key = (array.path, *((s.start, s.stop, s.step) for s in where))
+        spans = [(span.start, span.stop, span.step) for span in where]
+        key = (array.path, *spans)
         if key in self._parts:
             return self._parts[key].copy()
-        are_slices = is_ours(array) and all(s.step == 1 for s in where)
-        folder = path / array.path
-        values = read_chunks(folder, array, where) if are_slices else np.asarray(array[where])
+        if is_ours(array) and all(span.step == 1 for span in where):
+            values = read_chunks(path / array.path, array, where)
+        else:
+            values = np.asarray(array[where])
         if values.nbytes <= self._room:
             self._room -= values.nbytes
             self._parts[key] = values.copy()
@@ -292,5 +307,6 @@ def json_attrs(attrs: Mapping[Any, Any]) -> Entries:
     """Attributes as a store holds them."""
     plain: Entries = {}
     for key, value in attrs.items():
-        plain[str(key)] = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        is_array = isinstance(value, np.ndarray | np.generic)
+        plain[str(key)] = value.tolist() if is_array else value
     return plain

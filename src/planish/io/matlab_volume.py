@@ -48,7 +48,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
         with opened(path) as file:
             array, doubts = lazy_dataset(file[variable.name], path)
-        values = reordered(array, [len(variable.shape) - 1 - axis for axis in axis_order])
+        # HDF5 has the axes of MATLAB the other way round.
+        last_axis = len(variable.shape) - 1
+        values = reordered(array, [last_axis - axis for axis in axis_order])
     else:
         dtype = matlab.NUMBERS[variable.kind]
         decoded_bytes = variable.count * dtype.itemsize
@@ -69,7 +71,8 @@ def _voxel_um(size: matlab.Variable | None, file: BinaryIO) -> list[float]:
     """Voxel size z, y, x beside the volume: no habit of MATLAB, but it can be saved there."""
     if size is None or not size.real or size.count not in (1, 3):
         return []
-    return np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()
+    numbers = np.ravel(matlab.values(file, size))
+    return np.broadcast_to(numbers, 3).tolist()
 
 
 def _name_of_volume(variables: Mapping[str, matlab.Variable], place: Place) -> str:
@@ -87,7 +90,8 @@ def _name_of_volume(variables: Mapping[str, matlab.Variable], place: Place) -> s
 
 def _decoded(path: Path, variable: matlab.Variable) -> Array:
     with _damage(path), path.open("rb") as file:
-        return np.squeeze(matlab.values(file, variable)).transpose(2, 0, 1)
+        values = np.squeeze(matlab.values(file, variable))
+    return values.transpose(2, 0, 1)
 
 
 @contextmanager

@@ -65,11 +65,11 @@ class Orientation(NamedTuple):
     @property
     def volume(self) -> float:
         """Volume of the cell of unit vectors along x, y, z; below 0 where it is left-handed."""
-        z, y, x = self.directions
         lengths = np.linalg.norm(self.directions, axis=1)
         if not np.all(np.isfinite(lengths)) or not np.all(lengths > 0):
             return 0.0
-        return float(np.linalg.det(np.array([x, y, z])) / lengths.prod())
+        along_xyz = self.directions[::-1]
+        return float(np.linalg.det(along_xyz) / lengths.prod())
 
     @property
     def is_left_handed(self) -> bool:
@@ -83,9 +83,11 @@ class Orientation(NamedTuple):
 
     @property
     def is_usual(self) -> bool:
-        """True if the axes run along those of the space, or nearly so."""
-        unit = self.directions / np.linalg.norm(self.directions, axis=1)[:, None]
-        return bool(np.all(np.diagonal(unit[:, ::-1]) > np.sqrt(0.5)))
+        """True if the axes run along those of the space, within 45 degrees."""
+        lengths = np.linalg.norm(self.directions, axis=1)
+        # Of z along z, y along y, x along x.
+        cosines = np.diagonal(self.directions[:, ::-1]) / lengths
+        return bool(np.all(cosines > np.sqrt(0.5)))
 
 
 def orientation_by_steps(source: str, steps: Sequence[float | None]) -> list[Orientation]:

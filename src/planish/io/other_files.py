@@ -47,10 +47,9 @@ def _kinds() -> Iterator[OtherKind]:
     for way in tomllib.loads(table)["ways"]:
         for kind in way["kinds"]:
             starts = [(byte, text.encode("latin-1")) for byte, text in kind.get("starts", [])]
+            ends = kind["ends"].split()
             describes_values = way.get("describes_values", False)
-            yield OtherKind(
-                kind["name"], kind["ends"].split(), starts, way["take"], describes_values
-            )
+            yield OtherKind(kind["name"], ends, starts, way["take"], describes_values)
 
 
 OTHER_KINDS = [*_kinds()]
@@ -87,7 +86,8 @@ def refusal(path: Path) -> FileError:
             f" {new_name}."
         )
     if kind is _TEXT and origin == "first bytes":
-        first_line = printable(head.decode("utf-8", "replace").strip()[:40].partition("\n")[0])
+        text = head.decode("utf-8", "replace").strip()
+        first_line = printable(text[:40].partition("\n")[0])
         return FileError(f"{path.name} is a text that begins with {first_line!r}. {_TEXT.way}")
     if kind is not None:
         values_file = _partner(path, RAW_VALUES) if kind.describes_values else None
@@ -113,7 +113,10 @@ def _partner(path: Path, suffixes: Sequence[str]) -> Path | None:
     """Find a file beside another one that has its name and one of these ends."""
     names = [f"{path.stem}{suffix}".lower() for suffix in suffixes]
     with reading(path):
-        return next((p for p in sorted(path.parent.iterdir()) if p.name.lower() in names), None)
+        for file in sorted(path.parent.iterdir()):
+            if file.name.lower() in names:
+                return file
+    return None
 
 
 def folder_refusal(folder: Path) -> FileError:
@@ -123,7 +126,10 @@ def folder_refusal(folder: Path) -> FileError:
 
 
 def folder_contents(folder: Path) -> tuple[str, str]:
-    """Count the files of a folder and of those below it, and say which of them to give."""
+    """Count the files of a folder and of those below it, and say which of them to give.
+
+    Two texts: what it holds, and what to do.
+    """
     if folder.suffix.lower() in _N5.ends or (folder / "attributes.json").is_file():
         return f"it is {_N5.name}", _N5.way
     if (folder / "run.toml").is_file():
@@ -160,7 +166,7 @@ def _has_slices(files: Sequence[Path]) -> bool:
 def _visible(folder: Path) -> tuple[dict[Path, list[Path]], list[Path]]:
     """Files that are not hidden by the folder in which they lie, and stores of volumes.
 
-    Folders without files are left out.
+    Folders without files are left out. Stores are not looked into.
     """
     files_by_folder: dict[Path, list[Path]] = {}
     stores: list[Path] = []

@@ -198,11 +198,9 @@ class ImageParams(Params):
             raise ValueError(
                 "dark_grey and white_grey belong together: give both, or neither for grey values"
             )
-        if (
-            self.dark_grey is not None
-            and self.white_grey is not None
-            and not self.white_grey > self.dark_grey
-        ):
+        if self.dark_grey is None or self.white_grey is None:
+            return self
+        if not self.white_grey > self.dark_grey:
             raise ValueError(
                 f"the white reference ({self.white_grey:g}) has to be lighter than the dark one"
                 f" ({self.dark_grey:g})"

@@ -3,7 +3,6 @@
 Its stored values, what they mean, and its pixel size.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from numbers import Real
@@ -85,10 +84,11 @@ def kind_of(path: Path) -> str:
 def load_picture(
     path: Path, *, memory_bytes: int | None = None, decode: bool = True, is_slice: bool = False
 ) -> DecodedPicture:
-    """Decode a picture, or give its shape and type alone.
+    """Decode a picture, or give its shape and type alone (``decode`` is False).
 
-    With shape and type alone, all values are one 0 that takes no memory. The colours in which
-    ImageJ shows a slice of a volume are no values.
+    With shape and type alone, all values are one 0 that takes no memory. Of a slice of a volume
+    (``is_slice``), the colours in which ImageJ shows it are no values, and pixels that GDAL calls
+    missing stay numbers.
     """
     if kind_of(path) != "tiff":
         return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
@@ -172,7 +172,8 @@ def _with_gaps(values: Array, page: TiffPage, *, is_image: bool) -> Array:
     """Values of an image with NaN where GDAL says that there is none."""
     if not is_image or NO_DATA not in page.tags:
         return values
-    return np.where(values == float(page.tags.valueof(NO_DATA)), np.nan, values)
+    missing = float(page.tags.valueof(NO_DATA))
+    return np.where(values == missing, np.nan, values)
 
 
 def is_mapped(path: Path) -> bool:
@@ -186,18 +187,20 @@ def is_mapped(path: Path) -> bool:
 
 def constant_zeros(shape: Sequence[int], dtype: DType) -> Array:
     """An array of any size in no memory; all its values are the same 0."""
-    return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
+    zero = np.zeros((), dtype.newbyteorder("="))
+    return np.broadcast_to(zero, tuple(shape))
 
 
 def is_picture(series: TiffPageSeries) -> bool:
     """True if a series is one picture, with up to four samples or channels a pixel."""
     axes = long_axes(series)
-    plane = math.prod(n for a, n in zip(series.axes, series.shape, strict=True) if a in "YX")
-    return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * plane)
+    lengths = dict(zip(series.axes, series.shape, strict=True))
+    n_pixels = lengths.get("Y", 1) * lengths.get("X", 1)
+    return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * n_pixels)
 
 
 def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> DecodedPicture:
-    """Decode a PNG, JPEG or BMP file by the classes of Pillow.
+    """Decode a PNG, JPEG or BMP file by the classes of Pillow, or give its shape and type alone.
 
     Pillow's limit of pixels, a global, does not apply then.
     """
@@ -207,6 +210,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         if kind == "png":  # the checksum of every part; decoders pass over some of them
             PLUGINS[kind](BytesIO(data)).verify()
         image = PLUGINS[kind](BytesIO(data))
+    # Bytes of the header: bits of a sample, and the type: colour, or grey or colour with alpha.
     is_16_bit = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
     n_bands = 3 if image.mode == "P" else len(image.getbands())
     needed_bytes = image.width * image.height * n_bands * (1 + is_16_bit)
@@ -218,7 +222,9 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         exif = image.getexif() if decode or kind != "png" else Image.Exif()
         orientation = _orientation_of(exif.get(274, 1))
         photo = exif.get_ifd(34665)
-        writer = writer_of({305: image.info.get("Software")} | dict(exif), photo)
+        # PNG has the program (tag 305) among its texts.
+        tags = {305: image.info.get("Software"), **exif}
+        writer = writer_of(tags, photo)
         tone = tone_of(exif, photo.get(COLOUR_SPACE), image.info)
         if decode:
             values = _raster_values(image, data, is_16_bit=is_16_bit)

@@ -39,7 +39,8 @@ def writer_of(tags: Mapping[int, Any], photo_tags: Iterable[Any]) -> Writer:
 
 def names_of(tags: Mapping[int, Any], codes: Iterable[int]) -> str:
     """Join the texts of some tags, each once."""
-    names = [str(tags[code]).strip("\0 ") for code in codes if tags.get(code)]
+    texts = filter(None, map(tags.get, codes))
+    names = [str(text).strip("\0 ") for text in texts]
     return " ".join(dict.fromkeys(names))
 
 

@@ -196,9 +196,8 @@ def sweep(path: Path) -> None:
 
 
 def _is_work_name(name: str) -> bool:
-    return name in (WORK_MARKER, "key", "lock", "tiles") or (
-        name.startswith(".") and name.endswith(".partial")
-    )
+    is_partial = name.startswith(".") and name.endswith(".partial")
+    return is_partial or name in (WORK_MARKER, "key", "lock", "tiles")
 
 
 def _remove_work_folder(work: Path) -> None:

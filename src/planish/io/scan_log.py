@@ -140,9 +140,9 @@ class Log:
         details: Settings = {}
         for section, names in DETAIL_KEYS.items():
             settings = self.sections.get(section, {})
-            details |= {
-                name: settings[name.casefold()] for name in names if name.casefold() in settings
-            }
+            for name in names:
+                if name.casefold() in settings:
+                    details[name] = settings[name.casefold()]
         return details
 
 
@@ -165,7 +165,8 @@ def _named(prefix: str, slices: list[Path]) -> tuple[list[NumberedFile], bool]:
     for path in slices:
         match = pattern.fullmatch(path.stem)
         if match is not None:
-            by_ending[(match[2] or "").casefold()].append((int(match[1]), path))
+            number, ending = match.groups(default="")
+            by_ending[ending.casefold()].append((int(number), path))
     if "" in by_ending:
         return sorted(by_ending[""]), True
     if len(by_ending) == 1:
@@ -176,7 +177,8 @@ def _named(prefix: str, slices: list[Path]) -> tuple[list[NumberedFile], bool]:
 def read_scan(folder: Path) -> Scan | None:
     """Read the log of the slices of a folder; None where there is none."""
     slices = pictures_in(folder)
-    logs = [_whole_log(p, slices) for p in sorted(folder.iterdir()) if _is_log(p)]
+    log_files = filter(_is_log, sorted(folder.iterdir()))
+    logs = [_whole_log(file, slices) for file in log_files]
     reconstructions = [log for log in logs if log.is_of_slices]
     if not reconstructions:
         return _scan_by_projections(logs, slices)
@@ -360,14 +362,21 @@ def _check_count(log: Log, n_files: int, folder: Path) -> None:
 
 
 def check_extent(log: Log, shape: Shape) -> Texts:
-    """Compare the shape of a volume with that in its log, and say what a copy of a log states."""
+    """Compare the shape (z, y, x) of a volume with that in its log.
+
+    Say what the copy of a log states that belongs to the whole scan; VolumeError where the shape
+    cannot be that of a part of it.
+    """
     stated_shape = [log.count, *log.extent]
-    ratios = [m / n for n, m in zip(shape, stated_shape, strict=True) if m is not None]
+    ratios: list[float] = []
+    for n_voxels, n_stated in zip(shape, stated_shape, strict=True):
+        if n_stated is not None:
+            ratios.append(n_stated / n_voxels)
     if set(ratios) <= {1.0}:
         return ()
-    stated_text = " x ".join("?" if m is None else str(m) for m in stated_shape)
+    stated_text = " x ".join("?" if n is None else str(n) for n in stated_shape)
     shapes_text = f"{log.name} states {stated_text} voxels, the slices have {size_words(shape)}"
-    # Cutting keeps the size of a voxel, scaling does not.
+    # Cutting keeps the size of a voxel, scaling does not: all edges change by one factor.
     is_scaled = len(ratios) == 3 and len({*map(round, ratios)}) == 1
     if not log.is_of_whole or is_scaled or min(ratios) < 1:
         raise VolumeError(

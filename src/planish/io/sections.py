@@ -58,7 +58,11 @@ class SectionStack(NamedTuple):
     def agreed_size(
         self, voxel_um: float | Sequence[float] | None, *, override: bool, unusual: bool
     ) -> SizeAndSource:
-        """Join the median step of the counter with the pixel size of metadata and user."""
+        """Join the median step of the counter with the pixel size of metadata and user.
+
+        ``voxel_um``, `override` and `unusual` as in :func:`read_section_stack`; the size is (z, y,
+        x) in um.
+        """
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))
         if voxel_um is not None:
@@ -148,20 +152,17 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
         raise FileError(f"{folder.name} is not a folder. Check the name.")
     counter_file = folder / COUNTER
     size_of_file(counter_file)
-    table = parse_table(
-        read_text(counter_file, what="cut counter"),
-        f"{COUNTER} in {folder.name}",
-        needed=COLUMNS,
-        error=VolumeError,
-    )
+    text = read_text(counter_file, what="cut counter")
+    table_name = f"{COUNTER} in {folder.name}"
+    table = parse_table(text, table_name, needed=COLUMNS, error=VolumeError)
     positions = table.numbers(COLUMNS[1:])[:, 0]
     files = _named_files(table, folder)
-    for (first, a), (second, b) in pairwise(zip(files, positions, strict=True)):
-        if not b > a:
+    for k, (before_um, um) in enumerate(pairwise(positions)):
+        if not um > before_um:
             raise VolumeError(
-                f"{table.name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g}"
-                " um. Positions increase in the order of the cuts: correct the counter, or sort"
-                " its rows by position."
+                f"{table.name}: {files[k + 1].name} lies at {um:g} um, {files[k].name} before it at"
+                f" {before_um:g} um. Positions increase in the order of the cuts: correct the"
+                " counter, or sort its rows by position."
             )
     _check_present(files, folder)
     # Here, so that a look at a file waits for no reader of slices.
@@ -173,7 +174,8 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
         files, channel=channel, memory_bytes=memory_bytes, photographs=True
     )
     file_bytes = sum(size_of_file(file) for file in [*files, counter_file])
-    first = picture._replace(values=picture.values[:1, :1].copy())
+    one_pixel = picture.values[:1, :1].copy()
+    first = picture._replace(values=one_pixel)
     return SectionStack(folder, values, first, positions, kind, file_bytes)
 
 

@@ -34,9 +34,9 @@ def is_plain(array: StoredArray) -> bool:
         return False
     (sharding,) = codecs
     plain_bytes = (BytesCodec(endian=None), BytesCodec(endian="little"))
-    for codecs, second in ((sharding.codecs, ZstdCodec), (sharding.index_codecs, Crc32cCodec)):
-        kinds = [type(codec) for codec in codecs]
-        if kinds != [BytesCodec, second] or codecs[0] not in plain_bytes:
+    expected = ((sharding.codecs, ZstdCodec), (sharding.index_codecs, Crc32cCodec))
+    for codecs, second in expected:
+        if [*map(type, codecs)] != [BytesCodec, second] or codecs[0] not in plain_bytes:
             return False
     is_index_last = sharding.to_dict()["configuration"]["index_location"] == "end"
     return is_index_last and array.dtype.newbyteorder("<") == array.dtype
@@ -59,13 +59,14 @@ def read_plain(folder: Path, array: StoredArray, where: Where) -> Array:
 
 
 def _read_shard(path: Path, array: StoredArray, where: Where, values: Array) -> None:
-    """Put what lies ``where`` of one shard into ``values``."""
+    """Put what lies ``where`` of one shard, counted from its own start, into ``values``."""
     assert array.shards is not None
-    chunks_shape = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
+    chunks_shape = np.floor_divide(array.shards, array.chunks).tolist()
     n_chunks = math.prod(chunks_shape)
     raw_block = bytearray(math.prod(array.chunks) * values.itemsize)
     block = np.frombuffer(raw_block, values.dtype).reshape(array.chunks)
     with path.open("rb") as file:
+        # The index is at the end: 16 bytes a chunk, and 4 of the sum.
         file.seek(-16 * n_chunks - 4, 2)
         raw_index = without_sum(file.read(), f"the index of {path.name}")
         index = np.frombuffer(raw_index, "<u8").reshape(*chunks_shape, 2)
@@ -74,6 +75,7 @@ def _read_shard(path: Path, array: StoredArray, where: Where, values: Array) -> 
             if offset == _ABSENT:
                 continue
             file.seek(int(offset))
-            if len(zstd_decode(file.read(int(size)), out=raw_block)) != len(raw_block):
+            decoded = zstd_decode(file.read(int(size)), out=raw_block)
+            if len(decoded) != len(raw_block):
                 raise ValueError(f"a chunk of {path.name} is damaged")
             values[target] = block[within]

@@ -109,7 +109,8 @@ def stated_in(
 ) -> Stated:
     """Turn lengths with their units into um along the axes in `order`.
 
-    What is no length is noted.
+    ``lengths`` and ``units`` stand in the order of the file, ``order`` says which of them are along
+    z, y and x. One that is missing, or None, is not stated; what is no length is noted.
     """
     sizes: list[float | None] = []
     notes: list[str] = []
@@ -129,7 +130,8 @@ def stated_in(
             notes.append(f"{length:g} is no size")
         elif unit_length is None:
             notes.append(f"{unit!r} is no unit of length" if unit else f"{length:g} without a unit")
-    return Stated(source, tuple(sizes), ", ".join(dict.fromkeys(notes)), tuple(written))
+    note = ", ".join(dict.fromkeys(notes))
+    return Stated(source, tuple(sizes), note, tuple(written))
 
 
 def agreed_size(
@@ -170,6 +172,7 @@ def agreed_size(
     SizeError
         If it is missing on an axis, contradictory, or outside the possible range.
     """
+    # Those that say something of an axis at least.
     statements = [s for s in stated if s.um.count(None) < len(s.um)]
     if user_um is not None:
         size = size_per_axis(user_um, asked)
@@ -221,7 +224,10 @@ def _missing_text(
     statements: Sequence[Stated],
     asked: Asked,
 ) -> str:
-    """Say which axes have no size, why, and how to give it."""
+    """Say which axes have no size (None in ``size``), why, and how to give it.
+
+    ``stated`` are all kinds of metadata, ``statements`` those that state an axis at least.
+    """
     notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
     if notes_text:
         notes_text = f" ({notes_text})"
@@ -242,8 +248,11 @@ def _missing_text(
 def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
     axis_sizes: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
-    sizes: Sequence[Any] = axis_sizes if isinstance(axis_sizes, (list, tuple)) else [axis_sizes]
-    if not all(not isinstance(v, bool) and isinstance(v, Real) and _number(v) for v in sizes):
+    sizes: Sequence[Any] = [axis_sizes]
+    if isinstance(axis_sizes, (list, tuple)):
+        sizes = axis_sizes
+    numbers = [um for um in sizes if not isinstance(um, bool) and isinstance(um, Real)]
+    if len(numbers) < len(sizes) or not all(map(_number, numbers)):
         raise SizeError(f"`{asked.word}`: {size_um!r} is not a size. Give numbers above 0, in um.")
     if len(sizes) not in (1, len(asked.axes)):
         raise SizeError(
@@ -312,16 +321,16 @@ def _check_range(
     What was read is said, and no reason is guessed.
     """
     low, high = asked.usual_um
-    for i, (axis, um) in enumerate(zip(asked.axes, size, strict=True)):
+    for i, um in enumerate(size):
         is_possible = POSSIBLE_UM[0] <= um <= POSSIBLE_UM[1]
         if low <= um <= high or (unusual and is_possible):
             continue
         origin_text = f"`{asked.word}` gives it"
         more_text = ""
-        origin = next((s for s in statements if s.um[i] is not None), None)
-        if origin is not None:
-            written = origin.written[i] if origin.written else "it"
-            origin_text = f"{origin.source} states {written}"
+        origins = [s for s in statements if s.um[i] is not None]
+        if origins:
+            written = origins[0].written[i] if origins[0].written else "it"
+            origin_text = f"{origins[0].source} states {written}"
             more_text = f", and add {OVERRIDE}"
         limits_text = f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
         meant_text = ""
@@ -329,9 +338,9 @@ def _check_range(
             limits_text = f"usual are {low:g} to {high:g} um"
             meant_text = " If it is meant, add `unusual_size=True`."
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {um:g} um ({origin_text});"
-            f" {limits_text}. Check the number and its unit. Give the right one with"
-            f" `{asked.word}`, in um{more_text}.{meant_text}"
+            f"{file_name}: the {asked.name} size along {asked.axes[i]} is {um:g} um"
+            f" ({origin_text}); {limits_text}. Check the number and its unit. Give the right one"
+            f" with `{asked.word}`, in um{more_text}.{meant_text}"
         )
 
 
@@ -339,6 +348,7 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
     """Collect what the metadata state, along z, y, x."""
     with reading(path):
         imagej: Fields | None = tif.imagej_metadata
+        # Pixels per unit of length along y and x.
         density = [_fraction(page.tags.valueof(code)) for code in (283, 282)]
         tags = {tag.code: tag.value for tag in page.tags}
         photo_tags: Any = tags.get(34665)
@@ -378,27 +388,34 @@ def stated_density(
     for per_unit, um in zip(density, sizes_um, strict=True):
         if um is None and per_unit is not None:
             reasons[reason_of_none(per_unit, unit)] = None
-    return _doubted(Stated(source, (None, *sizes_um), ", ".join(reasons)), writer)
+    stated = Stated(source, (None, *sizes_um), ", ".join(reasons))
+    return _doubted(stated, writer)
 
 
 def _doubted(stated: Stated, writer: Writer) -> Stated:
     """Size along z, y, x by a resolution along y, x, and whether somebody measured it."""
-    doubts = [doubt_of(um, writer) for um in stated.um[1:] if um is not None]
+    sizes_um = [um for um in stated.um[1:] if um is not None]
+    doubts = [doubt_of(um, writer) for um in sizes_um]
     if not any(doubts):
         return stated
-    dpi_texts = [f"{25400.0 / um:.4g}" for um in stated.um[1:] if um is not None]
+    dpi_texts = [f"{25400.0 / um:.4g}" for um in sizes_um]
     source = f"{stated.source} of {' x '.join(dict.fromkeys(dpi_texts))} dpi"
     return stated._replace(source=source, doubt=next(filter(None, doubts)))
 
 
 def _stated_by_imagej(meta: Fields, density: Sequence[float | None], writer: Writer) -> Stated:
-    """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
+    """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags.
+
+    ``density``: these pixels along y and x.
+    """
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
         return Stated("ImageJ metadata", NO_SIZE, f"{unit!r} is no unit of length")
-    unit_y, unit_z = [str(meta.get(key) or unit) for key in ("yunit", "zunit")]
+    unit_y = str(meta.get("yunit") or unit)
+    unit_z = str(meta.get("zunit") or unit)
     sizes_um = map(_pixel_um, density, (unit_y, unit))
-    spacing = stated_in("", [_real(meta.get("spacing"))], [unit_z], (0,))
+    slice_distance = _real(meta.get("spacing"))
+    spacing = stated_in("", [slice_distance], [unit_z], (0,))
     note = f"its spacing: {spacing.note}" if spacing.note else ""
     if meta.get("spacing") is None:
         note = "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"

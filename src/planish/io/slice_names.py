@@ -49,7 +49,8 @@ def list_slices(folder: Path) -> SliceOrder:
     # A preview, a second scan: names that differ in more than numbers.
     by_pattern: dict[str, list[Path]] = defaultdict(list)
     for file in files:
-        by_pattern[NUMBER.sub("#", file.stem.casefold()) + file.suffix.lower()].append(file)
+        pattern = NUMBER.sub("#", file.stem.casefold())
+        by_pattern[pattern + file.suffix.lower()].append(file)
     alike, *odd = sorted(by_pattern.values(), key=len, reverse=True)
     if odd:
         odd_files = sorted(chain(*odd))
@@ -103,7 +104,9 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], Texts]:
     if len(changing_columns) == 1:
         return changing_columns[0], ()
     # Decimal numbers, such as the height of a slice, where no whole number counts.
-    counters = [*filter(_counts, changing_columns)] or [*filter(_counts, [_decimals(files)])]
+    counters = [*filter(_counts, changing_columns)]
+    if not counters:
+        counters = [*filter(_counts, [_decimals(files)])]
     changes_text = (
         f"{len(changing_columns)} numbers change from {files[0].name} to {files[-1].name}"
     )
@@ -112,10 +115,12 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], Texts]:
             f"{folder.name}: {changes_text}, and none counts the slices without a gap. Add missing"
             " slices, or rename them with one running number."
         )
+    # Of several, the one with the smallest steps, and of these the last in the name.
     numbers = min(reversed(counters), key=slice_step)
     order = sorted(range(len(files)), key=numbers.__getitem__)
-    changing = [*zip(*(c for c in changing_columns if c is not numbers), strict=True)]
-    if not _all_rise([*counters, changing], order):
+    other_columns = [column for column in changing_columns if column is not numbers]
+    others_together = [*zip(*other_columns, strict=True)]
+    if not _all_rise([*counters, others_together], order):
         raise VolumeError(
             f"{folder.name}: {changes_text}, and they ask for different orders. Rename the slices"
             " with one running number."
@@ -128,7 +133,7 @@ def slice_numbers(files: list[Path], folder: Path) -> tuple[list[int], Texts]:
 
 
 def _all_rise(columns: Sequence[Sequence[Any]], order: list[int]) -> bool:
-    """True if the entries of all columns rise, or stay, in an order."""
+    """True if the entries of all columns rise, or stay, in an order of the files."""
     return all(sorted(column) == [*map(column.__getitem__, order)] for column in columns)
 
 
@@ -138,8 +143,9 @@ def _number_columns(files: list[Path]) -> list[list[int]]:
     numbers = [NUMBER.findall(path.stem) for path in files]
     for words in zip(*numbers, strict=True):
         signs = {word[0] if word[0] in "+-" else "" for word in words}
-        is_signed = len(signs) > 1
-        columns.append([int(word if is_signed else word.lstrip("+-")) for word in words])
+        if len(signs) == 1:
+            words = [word.lstrip("+-") for word in words]
+        columns.append([*map(int, words)])
     return columns
 
 

@@ -48,7 +48,8 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     if scan is not None:
         stated = (*scan.stated, *stated)
         notes = (*scan.notes, *notes)
-        doubts = (*doubts, *scan.doubts, *check_extent(scan.log, values.shape))
+        extent_doubts = check_extent(scan.log, values.shape)
+        doubts = (*doubts, *scan.doubts, *extent_doubts)
         attrs["nrecon"] = scan.log.details
         if scan.log.window is not None:
             attrs["attenuation_window"] = [*scan.log.window]
@@ -113,7 +114,11 @@ def _left_in_files(
     dtype: DType,
     rows: Callable[[int, int, int], Array],
 ) -> Values:
-    """Values of pictures like the first, read where they lie, by strips, or by `rows`."""
+    """Values of pictures like the first, read where they lie, by strips, or by `rows`.
+
+    ``load_one`` decodes a file, ``rows(picture, start, stop)`` some rows of one by decoding all of
+    it; ``dtype`` is that of the grey values.
+    """
     header = _slice_header(files[0])
     shape = (len(files), *first.values.shape[:2])
     planes: list[tuple[Path, int]] = []
@@ -142,6 +147,7 @@ def _slice_rows(
     start: int,
     stop: int,
 ) -> Array:
+    """Some rows of a picture, of which all is decoded; ``shape`` is what it had when opened."""
     file = files[page]
     grey = _grey_values(load_one(file), file, channel)
     _check_unchanged(file, grey.shape, shape)
@@ -180,11 +186,13 @@ def _slice_header(file: Path) -> SliceHeader:
             image = PLUGINS[format_name](stream)
             # Pillow's own PNG class decodes the pixels to look for tags behind them.
             orientation = Image.Image.getexif(image).get(274, 1)
-            key = (format_name, image.size, image.mode, image.info.get("dpi"), orientation)
+            resolution = image.info.get("dpi")
+            key = (format_name, image.size, image.mode, resolution, orientation)
             return SliceHeader(key, np.dtype(np.uint8))
     with open_series(file) as (tif, series), reading(file):
         page = series.keyframe
-        resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
+        # Along x and y, and its unit.
+        resolution = tuple(map(page.tags.valueof, (282, 283, 296)))
         orientation = page.tags.valueof(274, default=1)
         page_facts = (page.photometric, page.bitspersample, page.compression, resolution)
         shape_facts = (series.shape, series.axes, str(series.dtype))
@@ -232,14 +240,16 @@ def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> Ar
 def _check_same(
     picture: DecodedPicture, first: DecodedPicture, *, file: Path, first_file: Path
 ) -> None:
+    """Refuse a picture of another colour, size, type, orientation or pixel size than the first."""
     check_type(picture.values.dtype, file)
-    kinds = zip(_kind(picture), _kind(first), strict=True)
-    words = (("is", "colour"), ("is", "size"), ("has", "type"))
-    for (verb, feature), (a, b) in zip(words, kinds, strict=True):
-        if a != b:
+    features = (("is", "colour"), ("is", "size"), ("has", "type"))
+    for (verb, feature), kind, first_kind in zip(
+        features, _kind(picture), _kind(first), strict=True
+    ):
+        if kind != first_kind:
             raise VolumeError(
-                f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same"
-                f" {feature}: export them again or remove the odd one."
+                f"{file.name} {verb} {kind}, {first_file.name} {verb} {first_kind}. All slices need"
+                f" the same {feature}: export them again or remove the odd one."
             )
     if picture.orientation != first.orientation:
         raise VolumeError(

@@ -150,7 +150,10 @@ def _write_finest_levels(
     workers: int,
     progress: Progress | None,
 ) -> None:
-    """Write the two finest levels, several blocks at once; those that are listed are done."""
+    """Write the two finest levels, several blocks at once; those that are listed are done.
+
+    ``memory_bytes`` to ``progress`` as for :func:`write_store`.
+    """
     max_blocks = min(BLOCKS_AT_WORK, count_threads()) if executor is None else workers
     block_shape, n_parallel = _plan_blocks(levels[0], memory_bytes, max_blocks)
     blocks = list(_blocks(levels[0].shape, block_shape))
@@ -174,7 +177,8 @@ def _write_finest_levels(
         if failed_future is not None:
             failed_future.result()
         if progress is not None:
-            progress("import", len(blocks) - len(pending_blocks) - len(futures), len(blocks))
+            n_left = len(pending_blocks) + len(futures)
+            progress("import", len(blocks) - n_left, len(blocks))
 
     with thread_pool(n_parallel) if executor is None else nullcontext(executor) as pool:
         try:
@@ -191,15 +195,18 @@ def _write_finest_levels(
 def _plan_blocks(
     level: Array, memory_bytes: int, max_blocks: int
 ) -> tuple[tuple[int, int, int], int]:
-    """Size the blocks as the memory allows, and say how many are worked on at once.
+    """Size the blocks (z, y, x) as the memory allows, and say how many are worked on at once.
 
-    Blocks are whole shards on two levels.
+    Blocks are whole shards on two levels, ``level`` and the one half as fine: two shards or more
+    along each axis, or all there are. ``memory_bytes`` is what all of them together may take.
     """
     shape = level.shape
-    shards = zip(level.shards or level.chunks, shape, strict=True)
+    shard_shape = level.shards or level.chunks
+    shards = zip(shard_shape, shape, strict=True)
     unit_shape = [min(2 * s, -(-n // s) * s) for s, n in shards]
     # A block and its means, and what is compressed of it.
-    block_bytes = 1.6 * level.dtype.itemsize * math.prod(map(min, unit_shape, shape))
+    n_voxels = math.prod(map(min, unit_shape, shape))
+    block_bytes = 1.6 * level.dtype.itemsize * n_voxels
     n_parallel = max(min(int(memory_bytes / block_bytes), max_blocks), 1)
     block_ratio = memory_bytes / (n_parallel * block_bytes)
     if block_ratio < 1:
@@ -209,10 +216,12 @@ def _plan_blocks(
             f" {memory_bytes / 1e6:.0f} MB are allowed for it. Allow more: `memory={needed_gb}GB`"
             " will do."
         )
+    # What memory is left makes the blocks larger, along the columns first.
     _, rows, cols = shape
     depth, unit_rows, unit_cols = unit_shape
     n_across = min(int(block_ratio), -(-cols // unit_cols))
-    n_down = min(max(int(block_ratio / n_across), 1), -(-rows // unit_rows))
+    n_fitting = max(int(block_ratio / n_across), 1)
+    n_down = min(n_fitting, -(-rows // unit_rows))
     return (depth, n_down * unit_rows, n_across * unit_cols), n_parallel
 
 
@@ -224,11 +233,12 @@ def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
 def _write_block(
     volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]
 ) -> list[Checksums]:
-    """Write a block of the volume and its means.
+    """Write a block of the volume and its means into the store in ``folder``.
 
-    Return the checksums of the shards, level by level.
+    ``names`` are the files of its shards on each level; their checksums are returned alike.
     """
-    values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
+    block = volume.isel(dict(zip("zyx", where, strict=True)))
+    values = np.ascontiguousarray(block.values)
     checksums: list[Checksums] = []
     for k, shard_names in enumerate(names):
         if k > 0:
@@ -267,17 +277,18 @@ def halve(values: NDArray[Any]) -> NDArray[Any]:
     """
     from planish.core._overview_kernels import halve_voxels
 
-    out = np.empty(tuple(-(-n // 2) for n in values.shape), dtype=values.dtype)
+    half_shape = tuple(-(-n // 2) for n in values.shape)
+    out = np.empty(half_shape, dtype=values.dtype)
     halve_voxels(values, out, values.dtype.kind in "ui")
     return out
 
 
 def _blocks(shape: Shape, block: Shape) -> Iterator[Where]:
     """Blocks of a volume in the order of its voxels; the last ones are smaller."""
-    for z, y, x in product(*map(range, (0, 0, 0), shape, block)):
-        starts = zip((z, y, x), block, shape, strict=True)
-        a, b, c = (slice(start, min(start + size, n)) for start, size, n in starts)
-        yield a, b, c
+    for starts in product(*map(range, (0, 0, 0), shape, block)):
+        edges = zip(starts, block, shape, strict=True)
+        z, y, x = (slice(start, min(start + size, n)) for start, size, n in edges)
+        yield z, y, x
 
 
 def _halved(where: Where, times: int) -> Where:
@@ -290,8 +301,9 @@ def _halved(where: Where, times: int) -> Where:
 def _level_shapes(shape: Shape) -> list[Shape]:
     """Shapes of all levels, each half as long along each axis as the one before."""
     shapes = [shape]
-    while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
-        shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
+    while max(shape) > _SMALLEST and min(shape) >= 2 * _LEAST_DEPTH:
+        shape = tuple(-(-n // 2) for n in shape)
+        shapes.append(shape)
     return shapes
 
 
@@ -313,9 +325,12 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     if not is_sharded:
         attributes = {"multiscales": [{"version": ome, **scales}]}
         options = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
-    noted_attrs = {key: volume.attrs[key] for key in _NOTED if volume.attrs.get(key) is not None}
+    noted_attrs: Entries = {"source": source_name}
+    for key in _NOTED:
+        if volume.attrs.get(key) is not None:
+            noted_attrs[key] = volume.attrs[key]
     group = zarr.open_group(folder, mode="a", zarr_format=3 if is_sharded else 2)
-    group.attrs.update(attributes | {"planish": {"source": source_name} | noted_attrs})
+    group.attrs.update(attributes | {"planish": noted_attrs})
     for k, shape in enumerate(shapes):
         if is_sharded:
             whole_chunks = -(-np.array(shape) // CHUNK) * CHUNK
@@ -338,16 +353,22 @@ def multiscale(
 ) -> Entries:
     """Describe an image of several levels, each half as fine, as OME-Zarr does.
 
-    An axis c lies before those of space.
-
-    ``pitch_um`` and ``first_um`` are size and place of the first voxel along the axes of space.
+    ``axes``: letters, such as zyx; an axis c lies before those of space. ``pitch_um`` and
+    ``first_um`` are size and place of the first voxel along the axes of space; ``kind`` says how a
+    level is made of the one before.
     """
     n_channels = axes.count("c")
     datasets: list[Entries] = []
     for k in range(n_levels):
-        scale = {"type": "scale", "scale": [1.0] * n_channels + [v * 2**k for v in pitch_um]}
-        origin_um = [f + v * (2**k - 1) / 2 for f, v in zip(first_um, pitch_um, strict=True)]
-        translation = {"type": "translation", "translation": [0.0] * n_channels + origin_um}
+        factor = 2**k
+        scales = [1.0] * n_channels
+        origins = [0.0] * n_channels
+        for um, edge_um in zip(first_um, pitch_um, strict=True):
+            scales.append(edge_um * factor)
+            # The first voxel of a level has its middle between those it is made of.
+            origins.append(um + edge_um * (factor - 1) / 2)
+        scale = {"type": "scale", "scale": scales}
+        translation = {"type": "translation", "translation": origins}
         datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
     axis_entries = [{"name": "c", "type": "channel"}] * n_channels
     axis_entries += [

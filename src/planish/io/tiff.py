@@ -80,11 +80,12 @@ def open_series(
 def _as_one(all_series: list[TiffPageSeries]) -> tuple[TiffPageSeries, str]:
     """Slices that were written one by one, each as an image of its own, as one series.
 
-    Images that differ are the fault that is given.
+    Given with it is its fault: images that differ; empty where there is none.
     """
     first = all_series[0]
     if len(all_series) == 1:
         return first, ""
+    # Pages, axes, and what tells layouts of pages apart.
     layouts = {(len(s.pages), s.ndim, s.keyframe.hash) for s in all_series}
     if layouts == {(1, 2, first.keyframe.hash)}:
         shape = (len(all_series), *first.shape)
@@ -114,6 +115,7 @@ def _count_pages(path: Path) -> int:
         head = file.read(16)
         count, tag, pointer = _table_structs(head, path)
         first_offset = 2 * pointer.size
+        # Of the first page; each table of tags ends with the byte of the next one, 0 at the end.
         offset: int = pointer.unpack(head[pointer.size : first_offset])[0]
         while offset:
             page_text = f"page {len(offsets) + 1}"
@@ -161,7 +163,11 @@ def _check_tags(
     path: Path,
     page_text: str,
 ) -> None:
-    """Refuse a page whose needed tags are empty or lie outside the file."""
+    """Refuse a page whose needed tags are empty or lie outside the file.
+
+    ``table``: its tags, each as ``entry`` lays it out: code, type and count, then the value or the
+    byte where it begins.
+    """
     tag, pointer = entry
     for position in range(0, len(table), tag.size + pointer.size):
         code, type_code, n_values = tag.unpack_from(table, position)
@@ -276,8 +282,11 @@ def _declared_series(tif: TiffFile) -> list[TiffPageSeries]:
     """Series of a file; each page where the description counts other images."""
     if not describes_other_images(tif):
         return list(tif.series)
-    pages: list[Any] = list(tif.pages)
-    return [TiffPageSeries([p], p.shape, p.dtype, p.axes, kind="uniform") for p in pages]
+    series: list[TiffPageSeries] = []
+    for page in list[Any](tif.pages):
+        alone = TiffPageSeries([page], page.shape, page.dtype, page.axes, kind="uniform")
+        series.append(alone)
+    return series
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
@@ -322,7 +331,10 @@ def _check_layout(series: TiffPageSeries, path: Path) -> None:
 def _checked_bytes(
     page: TiffPage | TiffFrame, frame: TiffPage, number: int, path: Path, file_bytes: int
 ) -> int:
-    """Bytes of the strips or tiles of a page, all of which are in the file."""
+    """Bytes of the strips or tiles of a page, all of which are in the file.
+
+    ``number``: that of the page, from 1; ``frame``: the page whose layout all of them have.
+    """
     n_segments = math.prod(frame.chunked)
     missing_text = f"data missing: page {number} has"
     n_complete = min(len(page.dataoffsets), len(page.databytecounts))
@@ -332,7 +344,7 @@ def _checked_bytes(
         if start == 0 or byte_count == 0:
             raise damaged(path, f"{missing_text} an empty strip or tile")
         end_byte = start + byte_count
-        if start < 8 or end_byte > file_bytes:
+        if start < 8 or end_byte > file_bytes:  # the header of a file has 8 bytes at least
             raise damaged(
                 path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}"
             )
@@ -391,14 +403,16 @@ def turn_white(values: Array, *, path: Path, bits: int, out: Array | None = None
             f"{path.name} stores white as 0 in {values.dtype} values, whose range is not defined. "
             "Export it with black as 0."
         )
-    return np.subtract(values.dtype.type(2**bits - 1), values, out=out)
+    white = values.dtype.type(2**bits - 1)
+    return np.subtract(white, values, out=out)
 
 
 def has_rgb(page: TiffPage) -> bool:
     """True if the first samples of a page are red, green and blue."""
-    return page.photometric == PHOTOMETRIC.RGB or (
-        page.photometric == PHOTOMETRIC.YCBCR and page.compression in JPEG_COMPRESSIONS
-    )
+    # JPEG decoders turn its own colour space into red, green and blue.
+    if page.photometric == PHOTOMETRIC.YCBCR:
+        return page.compression in JPEG_COMPRESSIONS
+    return page.photometric == PHOTOMETRIC.RGB
 
 
 def _long(series: TiffPageSeries) -> list[tuple[str, int]]:

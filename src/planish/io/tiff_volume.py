@@ -91,7 +91,11 @@ def _is_grey_ramp(page: TiffPage) -> bool:
 def _series_values(
     series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int
 ) -> Values:
-    """Values of a stack: mapped, read page by page, or decoded at once where nothing else works."""
+    """Values of a stack: mapped, read page by page, or decoded at once where nothing else works.
+
+    ``axes``: its letters longer than 1, slices first, with S for the samples of a pixel, which
+    ``change`` turns into grey; None where the values are grey as they are stored.
+    """
     shape = long_shape(series)
     stored_dtype = series.dtype.newbyteorder(series.keyframe.parent.byteorder)
     array: FileArray | None = None
@@ -112,7 +116,7 @@ def _series_values(
     values = map_or_decode(series, path, memory_bytes=limit_bytes).reshape(shape)
     if change is None or "S" not in axes:
         return values
-    needed_bytes = values.nbytes + math.prod(shape) // 3
+    needed_bytes = values.nbytes + math.prod(shape) // 3  # with the grey of three samples
     check_memory(path, needed_bytes=needed_bytes, limit_bytes=limit_bytes)
     if samples_first:
         values = np.moveaxis(values, 1, -1)
@@ -136,7 +140,8 @@ def _paged(
     if not has_one_plane or len(pages) != shape[0]:
         return None
     if frame.is_final and all(map(_is_joined, pages)):
-        return stored_array([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
+        planes = [(path, page.dataoffsets[0]) for page in pages]
+        return stored_array(planes, shape, stored_dtype)
     if frame.is_subsampled:
         return None
     tiff_pages = TiffPages(path, series)
@@ -146,7 +151,8 @@ def _paged(
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
     """True if the strips of a page lie one behind the other."""
-    ends = [start + n for start, n in zip(page.dataoffsets, page.databytecounts, strict=False)]
+    segments = zip(page.dataoffsets, page.databytecounts, strict=False)
+    ends = [start + n_bytes for start, n_bytes in segments]
     return ends[:-1] == list(page.dataoffsets[1:])
 
 
@@ -160,7 +166,8 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> tuple[str, Texts]:
     grey_axes = axes.replace("S", "")
     # The samples of a pixel may be red, green and blue, with or without further ones.
     is_rgb = axes.find("S") in (1, 3) and lengths["S"] in (3, 4) and has_rgb(series.keyframe)
-    if len(grey_axes) == 3 and grey_axes[1:] == "YX" and (axes == grey_axes or is_rgb):
+    has_planes = len(grey_axes) == 3 and grey_axes[1:] == "YX"
+    if has_planes and (axes == grey_axes or is_rgb):
         letter = grey_axes[0]
         if letter in SLICE_AXES:
             return axes, ()
@@ -207,15 +214,20 @@ class TiffPages(PagedArray):
             self._across = -(-key.imagewidth // key.tilewidth)
             strip_rows = key.tilelength
         shape = (len(self._segments), *key.shape)
-        super().__init__(path, shape, np.dtype(key.dtype), strip_rows, self._decoded_rows)
+        dtype = np.dtype(key.dtype)
+        super().__init__(path, shape, dtype, strip_rows, self._decoded_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Open the file again in another process."""
         return _open_pages, (self.path,)
 
     def _decoded_rows(self, page: int, start: int, stop: int) -> Array:
-        """Rows of a page, which begin with a strip or a row of tiles."""
-        values = np.empty((stop - start, *self.shape[2:]), self.dtype)
+        """Rows of a page, which begin with a strip or a row of tiles.
+
+        Shape (rows, cols), or with the samples of a pixel (rows, cols, samples).
+        """
+        shape = (stop - start, *self.shape[2:])
+        values = np.empty(shape, self.dtype)
         pixels = values.reshape(*values.shape[:2], -1)
         offsets, byte_counts, tables = self._segments[page]
         first_row = start // self.unit_rows
@@ -229,6 +241,7 @@ class TiffPages(PagedArray):
                 segment, place, size = self._decode(data, index, _fullsize=False, **tables)
                 if segment is None:
                     raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
+                # Of the page; at its edges a tile may reach beyond.
                 _, _, row, col, _ = place
                 height = min(size[1], stop - row)
                 width = min(size[2], self.shape[2] - col)

@@ -80,9 +80,10 @@ def read_topography(
                 f"{path.name} holds a profile of {size_words(grid_shape)} points, not a map. Give a"
                 " map of heights."
             )
-        needed_bytes = 3 * 8 * math.prod(grid_shape)
+        needed_bytes = 3 * 8 * math.prod(grid_shape)  # the library's heights, and two copies
         check_memory(path, needed_bytes=needed_bytes, limit_bytes=memory_bytes)
         unit_length = _unit_length(channel.unit, path)
+        # Sides of the map along x and y, in the unit of its heights.
         physical_sizes: Any = channel.physical_sizes or (None, None)
         stated: list[Stated] = []
         if None not in physical_sizes:
@@ -103,14 +104,17 @@ def read_topography(
         with reading(path):
             stored_heights = reader.topography(**size_arguments).heights()
             heights = np.ma.asarray(stored_heights).astype(np.float64)
-            file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
+            file_format = ""
+            if callable(getattr(reader, "format", None)):
+                file_format = str(reader.format())
     with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any
         # time later.
         del reader, channel
         gc.collect()
     # The library has x first, as the sheet of a drawing; images have rows first.
-    values = np.ascontiguousarray(np.ma.filled(heights, np.nan).T) * unit_length
+    filled = np.ma.filled(heights, np.nan)
+    values = np.ascontiguousarray(filled.T) * unit_length
     values[~np.isfinite(values)] = np.nan
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.frame import Axis, End, Frame
@@ -135,7 +135,7 @@ def open_volume(
     """Open a volume, with what its file says about its hand and what was assumed as attributes."""
     _check_contents(place)
     loaded = loader(format_of(place))(place, check_channel(channel), memory_bytes)
-    attrs: dict[str, Any] = {**loaded.attrs, **orientation_attrs(loaded.orientations)}
+    attrs = {**loaded.attrs, **orientation_attrs(loaded.orientations)}
     if loaded.doubts:
         attrs["doubts"] = [*loaded.doubts]
     notes = [*loaded.notes, *orientation_notes(loaded.orientations)]

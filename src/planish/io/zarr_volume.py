@@ -34,7 +34,6 @@ from planish.io.tiff import damaged
 
 # Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
-Keys = Fields
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
@@ -95,7 +94,7 @@ def _check_shards(path: Path, name: str) -> None:
         )
 
 
-def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: Shape) -> Stated:
+def _stated_by_scale(multiscale: Fields, level: int, units: list[str], order: Shape) -> Stated:
     """Voxel size by the scale transformations of the level and of the whole image."""
     source = "the OME-Zarr scale"
     scale = _scale_of(multiscale["datasets"][level], len(units))
@@ -111,7 +110,7 @@ def _metadata_files(folder: Path) -> list[Path]:
     return [folder / name for name in METADATA if (folder / name).is_file()]
 
 
-def _group_attrs(path: Path, name: str) -> Keys:
+def _group_attrs(path: Path, name: str) -> Fields:
     """Attributes of the group in which an array lies; none where it lies in no group."""
     parent = name.rpartition("/")[0]
     if not name or not _metadata_files(path / parent):
@@ -120,19 +119,27 @@ def _group_attrs(path: Path, name: str) -> Keys:
         return dict(_open_node(path, parent).attrs)
 
 
-def _said_at_import(group_attrs: Keys) -> tuple[dict[str, str], list[str]]:
-    """Hand and notes of the file from which planish imported a volume."""
+def _said_at_import(group_attrs: Fields) -> tuple[dict[str, str], list[str]]:
+    """Hand and notes of the file from which planish imported a volume.
+
+    The hand is the attribute ``hand`` or ``turned``, where one was noted.
+    """
     stated: Any = group_attrs.get("planish")
     if not isinstance(stated, dict):
         return {}, []
+    hand: dict[str, str] = {}
+    for key in ("hand", "turned"):
+        if isinstance(stated.get(key), str):
+            hand[key] = stated[key]
     notes: Any = stated.get("notes")
-    hand = {key: stated[key] for key in ("hand", "turned") if isinstance(stated.get(key), str)}
-    return hand, [str(note) for note in notes] if isinstance(notes, list) else []
+    if not isinstance(notes, list):
+        return hand, []
+    return hand, [*map(str, notes)]
 
 
 def _read_part(path: Path, name: str, shape: Shape, where: Where) -> Array:
-    changed_ns = max((f.stat().st_mtime_ns for f in _metadata_files(path / name)), default=0)
-    array = _open_again(path, name, changed_ns)
+    times_ns = [file.stat().st_mtime_ns for file in _metadata_files(path / name)]
+    array = _open_again(path, name, max(times_ns, default=0))
     if tuple(array.shape) != shape:
         raise FileError(f"{path.name} was changed while planish read it. Start again.")
     if is_plain(array) and all(w.step == 1 for w in where):
@@ -174,19 +181,23 @@ def _open_node(path: Path, name: str) -> Any:
         raise damaged(path, f"the metadata of {node_text} are larger than 50 MB")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
-        return zarr.open(
-            store=LocalStore(node_folder, read_only=True), mode="r", use_consolidated=False
-        )
+        node_store = LocalStore(node_folder, read_only=True)
+        return zarr.open(store=node_store, mode="r", use_consolidated=False)
 
 
-def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
-    """Name of the array that is read; and its multiscale image with its level, where it has one."""
+def _find_level(path: Path, name: str) -> tuple[Fields | None, int, str]:
+    """Multiscale image, level in it, and name of the array that is read.
+
+    The image is None, and the level 0, for an array that belongs to none. ``name`` is the part that
+    was chosen, empty for the whole store.
+    """
     node = _open_node(path, name)
     if isinstance(node, zarr.Array):
         return _level_of(path, name)
     multiscale = _multiscale_of(node, path)
     if multiscale is not None:
-        first = _part_of(path, str(multiscale["datasets"][0].get("path", "")))
+        finest = multiscale["datasets"][0]
+        first = _part_of(path, str(finest.get("path", "")))
         return multiscale, 0, f"{name}/{first}".strip("/")
     keys = _ome_keys(node, path)
     if "plate" in keys:
@@ -218,13 +229,14 @@ def _choice_text(members: list[str], path: Path) -> str:
     return f"{', '.join(members[:8])}. Choose one as {path.name}:{members[0]}."
 
 
-def _level_of(path: Path, name: str) -> tuple[Keys | None, int, str]:
-    """Level of an array that was chosen by its name."""
+def _level_of(path: Path, name: str) -> tuple[Fields | None, int, str]:
+    """Level of an array that was chosen by its name, as `_find_level` gives it."""
     parent, _, last = name.rpartition("/")
     if name and _metadata_files(path / parent):
         multiscale = _multiscale_of(_open_node(path, parent), path)
         if multiscale is not None:
-            levels = [_part_of(path, str(level.get("path"))) for level in multiscale["datasets"]]
+            paths = (str(level.get("path")) for level in multiscale["datasets"])
+            levels = [_part_of(path, level_path) for level_path in paths]
             if last in levels:
                 return multiscale, levels.index(last), name
     return None, 0, name
@@ -236,7 +248,7 @@ def _is_volume(path: Path, name: str) -> bool:
     return isinstance(node, zarr.Array) and len(extended_axes(node.shape)) == 3
 
 
-def _ome_keys(group: Any, path: Path) -> Keys:
+def _ome_keys(group: Any, path: Path) -> Fields:
     with reading(path):
         attrs: Any = dict(group.attrs)
     if isinstance(attrs.get("ome"), dict):
@@ -244,7 +256,7 @@ def _ome_keys(group: Any, path: Path) -> Keys:
     return attrs
 
 
-def _multiscale_of(group: Any, path: Path) -> Keys | None:
+def _multiscale_of(group: Any, path: Path) -> Fields | None:
     """The one multiscale image of a group; None where the group has none."""
     ome = _ome_keys(group, path)
     images: Any = ome.get("multiscales")
@@ -259,9 +271,9 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
             raise damaged(path, "its multiscales metadata name no data sets")
 
 
-def _axes_by_ome(multiscale: Keys, count: int, path: Path) -> list[Keys]:
+def _axes_by_ome(multiscale: Fields, count: int, path: Path) -> list[Fields]:
     """What a multiscale image says of each axis: name, type, unit."""
-    # Before version 0.3 the axes had no names, and were these.
+    # Before version 0.3 the axes had no names, and were the last of these.
     entries: Any = multiscale.get("axes", "tczyx"[5 - count :] if count <= 5 else None)
     if not isinstance(entries, (list, str)):
         entries = ()
@@ -279,7 +291,7 @@ class NamedAxes(NamedTuple):
     directions: list[str]  # where they run to, in anatomical words; empty where nothing is said
 
 
-def _named_axes(multiscale: Keys | None, array: Any, path: Path) -> NamedAxes:
+def _named_axes(multiscale: Fields | None, array: Any, path: Path) -> NamedAxes:
     """Names of the axes by OME, by the array's metadata and by its attributes."""
     count = len(array.shape)
     namings: list[AxisNames] = []
@@ -299,17 +311,18 @@ def _named_axes(multiscale: Keys | None, array: Any, path: Path) -> NamedAxes:
     return NamedAxes(namings, units, directions)
 
 
-def _direction_of(axis: Keys) -> str:
+def _direction_of(axis: Fields) -> str:
     """Where an axis runs to, as in ``left-to-right``; empty where nothing is said."""
     orientation: Any = axis.get("orientation")
     value = orientation.get("value", "") if isinstance(orientation, dict) else ""
     return str(value).rpartition("-to-")[2]
 
 
-def _channel_labels(multiscale: Keys | None) -> str:
+def _channel_labels(multiscale: Fields | None) -> str:
     omero: Any = (multiscale or {}).get("omero")
     channels: Any = omero.get("channels") if isinstance(omero, dict) else None
-    return ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
+    entries = [channel for channel in channels or () if isinstance(channel, dict)]
+    return ", ".join(str(channel.get("label")) for channel in entries)
 
 
 def _coordinates_along(
@@ -325,24 +338,25 @@ def _coordinates_along(
         if not re.fullmatch(r"\w+", axis_name) or not _metadata_files(path / array_name):
             continue
         node = _open_node(path, array_name)
-        if isinstance(node, zarr.Array) and node.shape == (count,) and node.dtype.kind in "uif":
-            return Coordinates(axis_name, np.asarray(node[:]), word_of(node.attrs.get("units", "")))
+        is_row = isinstance(node, zarr.Array) and node.shape == (count,)
+        if is_row and node.dtype.kind in "uif":
+            unit = word_of(node.attrs.get("units", ""))
+            return Coordinates(axis_name, np.asarray(node[:]), unit)
     return None
 
 
-def _scale_of(owner: Keys, count: int) -> list[float] | None:
+def _scale_of(owner: Fields, count: int) -> list[float] | None:
+    """Scale along each of ``count`` axes by the metadata of an image or a level; None for none."""
     transformations: Any = owner.get("coordinateTransformations")
     if not isinstance(transformations, list):
         return None
     for transformation in transformations:
         is_scale = isinstance(transformation, dict) and transformation.get("type") == "scale"
         scale: Any = transformation.get("scale") if is_scale else None
-        if (
-            isinstance(scale, list)
-            and len(scale) == count
-            and all(type(v) in (int, float) for v in scale)
-        ):
-            return [float(v) for v in scale]
+        if not isinstance(scale, list) or len(scale) != count:
+            continue
+        if all(type(factor) in (int, float) for factor in scale):
+            return [*map(float, scale)]
     return None
 
 

@@ -19,7 +19,7 @@ from planish.core.checks import POSITION, concerned, trust_of
 from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
-from planish.core.typing import Array, Entries, Floats, Pair, Singles, Texts
+from planish.core.typing import Array, Entries, Floats, Pair, Shape2D, Singles, Texts
 from planish.exports.run_contents import IMAGE
 from planish.io.map_groups import read_group
 from planish.io.map_store import overviews_of
@@ -38,7 +38,7 @@ class Packed:
     """A packed map."""
 
     text: str  # the differences of the codes, deflated, in base64
-    shape: tuple[int, int]
+    shape: Shape2D
     bits: int  # 8 or 16
     order: int  # differences along the rows (1), or along the rows and then down the columns (2)
     low: float  # value of code 2
