@@ -93,17 +93,18 @@ class Applying:
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
-            if not self._is_closed and (
-                self._warm_process is None or self._warm_process.poll() is not None
-            ):
-                self._warm_process = subprocess.Popen(
-                    [sys.executable, "-m", "planish.app.apply_worker"],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    # As the command line has it.
-                    encoding="utf-8",
-                    env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,
-                )
+            process = self._warm_process
+            is_ready = process is not None and process.poll() is None
+            if self._is_closed or is_ready:
+                return
+            self._warm_process = subprocess.Popen(
+                [sys.executable, "-m", "planish.app.apply_worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                # As the command line has it.
+                encoding="utf-8",
+                env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,
+            )
 
     def _warm_soon(self) -> None:
         """Once something was changed, it will be applied.
@@ -136,10 +137,10 @@ class Applying:
                 "files": file_texts,
                 "out": str(out),
                 "run": str(folder),
+                "staging": str(staging),
             }
             with suppress(BrokenPipeError):  # it died: whoever reads from it says so
-                process.stdin.write(json.dumps(order | {"staging": str(staging)}) + "\n")
-                process.stdin.flush()
+                print(json.dumps(order), file=process.stdin, flush=True)
             self._process = process
             self._is_cancelled = False
             self.progress = Progress(state="working", message=f"Making {out.name} ...")
@@ -179,7 +180,11 @@ class Applying:
             _wait_and_close(process)
 
     def _follow_progress(self, process: subprocess.Popen[str], out: Path) -> None:
-        """Take over what the process reports, until it ends, and clean up where it made nothing."""
+        """Take over what the process reports, until it ends, and clean up where it made nothing.
+
+        Each line is JSON: ``state``, while it is working with ``stage`` and ``message``. ``out`` is
+        the folder of the new run.
+        """
         assert process.stdout is not None
         last_message: Entries = {}
         for line in process.stdout:

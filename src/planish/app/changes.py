@@ -83,7 +83,8 @@ class Mark(Part):
 
         Also where one of its ends was moved by hand.
         """
-        return any(end is not None and end.source == "tile" for end in (self.moving, self.fixed))
+        sources = [end.source for end in (self.moving, self.fixed) if end is not None]
+        return "tile" in sources
 
 
 Marks = tuple[Mark, ...]
@@ -287,8 +288,10 @@ def _marks_after(marks: Marks, change: Add | Move | Use | Relabel | Remove | Imp
             ends = _ends_of(change, "A new mark has no place.")
             if len(marks) >= MOST_MARKS:
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
-            label = change.label or next(free_names("mark", {mark.label for mark in marks}))
-            return *marks, Mark(id=change.id, label=_free_label(marks, label, change.id), **ends)
+            used_labels = {mark.label for mark in marks}
+            label = change.label or next(free_names("mark", used_labels))
+            label = _free_label(marks, label, change.id)
+            return *marks, Mark(id=change.id, label=label, **ends)
         case Move():
             ends = _ends_of(change, "A move gives no new place.")
             return _with_fields(marks, change.id, **ends)
@@ -375,11 +378,8 @@ def stretches_of(corrections: Sequence[Correct], layer: str, first_sheet: str) -
 
     Those that name none are of the ``first_sheet``.
     """
-    stretches = [
-        correction.model_dump(exclude={"do", "layer"}, exclude_none=True)
-        for correction in corrections
-        if (correction.layer or first_sheet) == layer
-    ]
+    of_layer = [c for c in corrections if (c.layer or first_sheet) == layer]
+    stretches = [c.model_dump(exclude={"do", "layer"}, exclude_none=True) for c in of_layer]
     return Corrections.model_validate({"stretches": stretches})
 
 

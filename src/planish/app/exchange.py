@@ -75,17 +75,18 @@ def imported(
 
 
 def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> tuple[str, bytes]:
-    """Name and bytes of a file of marks, or a ZIP.
+    """Name and bytes of a file of marks, or a ZIP where the format has several files.
 
-    ChangeError for its format, MarkError where it can hold none.
+    ``fitted`` is the fit that is shown, whose residuals go into the file as far as it has room for
+    them. ChangeError for a format that does not exist, MarkError where it can hold none of these.
     """
     if format_name not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
     marks = session.state.of(layer)
+    # Marks that are no pair have the row behind the last, of NaN.
     row_of = {mark.id: k for k, mark in enumerate(fitted.pairs)}
-    rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
+    rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], np.intp)
     errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
-    # What the shown fit leaves.
     results = {name: np.append(um, np.nan)[rows] for name, um in errors_um.items()}
     about = {plane: _pixels(session, layer, plane).about() for plane in PLANES}
     dataset = dataset_of(marks, about=about, results=results)

@@ -45,29 +45,32 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     2006, Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4).
     """
     n = len(moving)
-    is_outlier = np.zeros(n, dtype=np.bool_)
+    is_outlier = np.zeros(n, np.bool_)
     if n < LEAST:
         return is_outlier
+    # Places as complex numbers x + iy; inliers are numbers of marks.
     z = as_complex(moving, mirrored)
     w = as_complex(fixed, False)
     inliers = _best_inliers(z, w, n - n // 3)
-    for _ in range(n):
+    while inliers.size < n:
         # How far each mark lies off a fit to the inliers, over its own error in units of theirs;
-        # their variance.
+        # their variance. A similarity has four numbers, a mark two.
         residual_um = np.abs(_residuals(z, w, inliers))
         distance2 = np.abs(z - z[inliers].mean()) ** 2
-        leverage = 1 / inliers.size + distance2 / max(float(np.sum(distance2[inliers])), 1e-300)
+        spread = max(float(np.sum(distance2[inliers])), 1e-300)
+        leverage = 1 / inliers.size + distance2 / spread
         dof = 2 * inliers.size - 4
-        variance = float(np.sum(residual_um[inliers] ** 2)) / max(dof, 1)
+        sum_of_squares = float(np.sum(residual_um[inliers] ** 2))
+        variance = sum_of_squares / max(dof, 1)
         residual_um = residual_um / np.sqrt(1 + leverage)
         # The inliers were chosen for being close: the chance counts how many choices there were.
-        p_limit = _SIGNIFICANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
+        n_excluded = n - inliers.size
+        p_limit = _SIGNIFICANCE / comb(n, n_excluded) / n_excluded
         p_value = (residual_um == 0).astype(np.float64)
         if variance > 0:
             p_value = stats.f.sf(residual_um**2 / (2 * variance), 2, dof)
         excluded = np.setdiff1d(np.arange(n), inliers)
-        if not excluded.size:
-            break
+        # The most likely of them is an inlier too, or all are outliers.
         candidate = excluded[np.argmax(p_value[excluded])]
         clear_um = max(tolerance_um, _CLEAR_SDS * np.sqrt(variance))
         if p_value[candidate] < p_limit or residual_um[candidate] > clear_um:
@@ -78,13 +81,18 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
 
 
 def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
-    """The so many marks that a similarity through two of them, refitted, follows most closely."""
+    """The ``count`` marks that a similarity through two of them, refitted, follows most closely.
+
+    ``z`` and ``w`` (n,) are places in both planes as complex numbers, between which a similarity is
+    ``w = shift + factor * z``. Given are numbers of marks, in order.
+    """
+    # The pairs i, j of marks that are tried: all, or 1500 at random.
     if len(z) < 56:
         i, j = np.array(list(combinations(range(len(z)), 2))).T
     else:
-        # Of so many pairs a similarity is tried.
         permutations = np.tile(np.arange(len(z)), (1500, 1))
         i, j = np.random.default_rng(0).permuted(permutations, axis=1)[:, :2].T
+    # Marks at one place give no factor.
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = (w[j] - w[i]) / (z[j] - z[i])
     is_finite = np.isfinite(factor)
@@ -92,16 +100,20 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
     i = i[is_finite]
     if not factor.size:
         return np.arange(len(z))
-    predicted = w[i][:, None] + factor[:, None] * (z - z[i][:, None])
+    # Rows are pairs, columns the marks.
+    offsets = z - z[i][:, None]
+    predicted = w[i][:, None] + factor[:, None] * offsets
     residual2 = np.abs(w - predicted) ** 2
     smallest = np.partition(residual2, count - 1, axis=1)[:, :count]
     sums = np.sum(smallest, axis=1)
     least_sum = np.inf
     best_inliers = np.arange(count)
+    # The ten best, each refitted to the marks that it follows.
     for k in np.argsort(sums, kind="stable")[:10]:
         inliers = np.argsort(residual2[k], kind="stable")[:count]
         for _ in range(5):
-            inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
+            distances = np.abs(_residuals(z, w, inliers))
+            inliers = np.argsort(distances, kind="stable")[:count]
         of_inliers = _residuals(z, w, inliers)[inliers]
         sum_of_squares = float(np.sum(np.abs(of_inliers) ** 2))
         if sum_of_squares < least_sum:
@@ -111,6 +123,7 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> Ints:
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: Ints) -> Complexes:
+    """Residuals (n,) of all marks from the least squares similarity of some of them."""
     z_mean = z[inliers].mean()
     w_mean = w[inliers].mean()
     z_centred = z[inliers] - z_mean
@@ -211,8 +224,9 @@ def fitted(
     another model than `QUICK`, a similarity instead.
     """
     pairs = tuple(mark for mark in marks if mark.moving and mark.fixed)
+    # Places (n, 2) in um, of all pairs; the fits are to those in use.
     moving, fixed = (_points(pairs, plane) for plane in PLANES)
-    is_used = np.array([mark.used for mark in pairs], dtype=np.bool_)
+    is_used = np.array([mark.used for mark in pairs], np.bool_)
     used = (moving[is_used], fixed[is_used])
     is_mirrored = bool(mirrored)
     if mirrored is None:
@@ -228,6 +242,7 @@ def fitted(
         pairs_text = f"{n_used} pair{'s' * (n_used != 1)} of marks in use"
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
         warnings.append(FitWarning(text=f"{pairs_text}: {needed_text}"))
+    # What is shown where nothing can be fitted.
     unfitted = Fitted(
         fit=None,
         pairs=pairs,
@@ -288,13 +303,14 @@ def _why_none(
     """Why a fit was refused; of marks at one place, which these are."""
     if not coincident or "at one place" not in refusal.text:
         return refusal.text
-    label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
-    return f"{label}: {coincident[0].text} Move or delete one of them."
+    warning = coincident[0]
+    label = next(mark.label for mark in pairs if mark.id == warning.id)
+    return f"{label}: {warning.text} Move or delete one of them."
 
 
 def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
     places = [getattr(mark, plane).xy for mark in marks]
-    return np.array(places, dtype=np.float64).reshape(-1, 2)
+    return np.array(places, np.float64).reshape(-1, 2)
 
 
 def _least_squares(
@@ -305,6 +321,7 @@ def _least_squares(
 
 
 def _from_few_pairs(marks: Sequence[Mark], mirrored: bool | None) -> tuple[Any, str]:
+    """A transformation from one mark or two, and what is not known of it; None from no mark."""
     moving, fixed = (_points(marks, plane) for plane in PLANES)
     if len(moving) == 1:
         shift_um = fixed[0] - moving[0] * (-1.0 if mirrored else 1.0, 1.0)
@@ -324,6 +341,7 @@ def _disagreements(
     residual_um: Floats,
     leave_one_out_um: Floats,
 ) -> Iterator[FitWarning]:
+    """A warning for each pair that the fit gives no weight, or that stands out."""
     for k, mark in enumerate(pairs):
         if is_rejected[k]:
             text = (
@@ -337,6 +355,7 @@ def _disagreements(
 
 
 def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> list[FitWarning]:
+    """A warning for each mark in use at the place of one before it; ``where`` names the planes."""
     warnings: list[FitWarning] = []
     for plane, plane_text in where.items():
         mark_at: dict[Pair, Mark] = {}

@@ -102,10 +102,11 @@ class Journal:
                     os.close(descriptor)
         except OSError as error:
             fault = write_failure(error, self.path)
-            error_type = ResourceError if isinstance(fault, ResourceError) else FileError
-            reason = (
-                "the disk is full" if error_type is ResourceError else fault.text.removesuffix(".")
-            )
+            error_type = FileError
+            reason = fault.text.removesuffix(".")
+            if isinstance(fault, ResourceError):
+                error_type = ResourceError
+                reason = "the disk is full"
             raise error_type(
                 f"The change could not be saved and was not made: {reason}. Free some space, then"
                 " do it again."
@@ -125,6 +126,7 @@ class Journal:
 
 
 def _lines(data: bytes, path: Path, subject: str) -> list[bytes]:
+    """Lines of the changes in a journal; FileError where it is another file, or damaged."""
     first_line, *lines = data.splitlines() or [b""]
     if not first_line:
         return []

@@ -107,7 +107,8 @@ class Live:
         state = session.state
         fit = self.fit(layer)
         row_of = {mark.id: k for k, mark in enumerate(fit.pairs)}
-        marks = [self._row(mark, fit, row_of.get(mark.id)) for mark in state.of(layer)]
+        marks = state.of(layer)
+        rows = [self._row(mark, fit, row_of.get(mark.id)) for mark in marks]
         warnings = [warning.model_dump(exclude_none=True) for warning in fit.warnings]
         corrections = [c.model_dump(mode="json", exclude={"do"}) for c in state.corrections]
         can_change = not session.read_only
@@ -115,7 +116,7 @@ class Live:
             "version": version,
             "layer": layer,
             "model": state.model,
-            "marks": marks,
+            "marks": rows,
             "fit": _facts_of(fit, state.model),
             "message": fit.message,
             "warnings": warnings,
@@ -127,7 +128,8 @@ class Live:
 
     def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> Entries:
         """A mark as the page shows it; ``k`` is its number among the pairs, where it is one."""
-        sources = dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None)
+        ends = filter(None, (mark.moving, mark.fixed))
+        sources = dict.fromkeys(end.source for end in ends)
         row: Entries = {
             "id": mark.id,
             "label": mark.label,
@@ -139,11 +141,12 @@ class Live:
             "residual_um": None,
             "leave_one_out_um": None,
         }
-        if k is None:
+        if k is None:  # it has one end: where the other one will lie
             side, opposite = PLANES if mark.fixed is None else PLANES[::-1]
             prediction = marks_fit.predicted(side, getattr(mark, side).xy)
             if prediction is not None:
-                row |= {"predicted": {opposite: prediction[0]}, "note": prediction[2]}
+                place, _, error_text = prediction
+                row |= {"predicted": {opposite: place}, "note": error_text}
             return row
         row["without_weight"] = bool(marks_fit.is_rejected[k])
         row["residual_um"] = finite_or_none(marks_fit.residual_um[k])

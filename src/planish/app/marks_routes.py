@@ -68,9 +68,7 @@ def get_session(request: Request) -> Response:
     checks = session.results.checks
     marks_checks = (check for check in checks if check.name == "marks" and check.layers)
     limits_um = {check.layers[0]: finite_or_none(check.limit) for check in marks_checks}
-    layers = [
-        _layer_facts(session, name) | {"limit_um": limits_um.get(name)} for name in session.layers
-    ]
+    layers = [_layer_facts(session, name, limits_um.get(name)) for name in session.layers]
     return Answer(
         {
             "run": served.run,
@@ -87,12 +85,16 @@ def get_session(request: Request) -> Response:
     )
 
 
-def _layer_facts(session: Session, layer: str) -> Entries:
-    """Where a layer is shown, and its holes as circles (x, y, diameter), by plane."""
+def _layer_facts(session: Session, layer: str, limit_um: float | None) -> Entries:
+    """Where a layer is shown, and its holes as circles (x, y, diameter) in um, by plane.
+
+    ``limit_um``: the limit of the check of its marks; None where it was not checked.
+    """
     circles: Entries = {}
     shown: dict[str, dict[str, str]] = {}
     for plane, holes in session.holes(layer).items():
-        circles[plane] = holes[["x", "y", "diameter"]].to_array().values.T.tolist()
+        numbers = holes[["x", "y", "diameter"]].to_array()
+        circles[plane] = numbers.values.T.tolist()
     for plane in PLANES:
         shown_plane, shown_layer = session.shown_by(layer, plane)
         shown[plane] = {"plane": shown_plane, "layer": shown_layer}
@@ -103,6 +105,7 @@ def _layer_facts(session: Session, layer: str) -> Entries:
         "holes": circles,
         "names": session.view_names(layer),
         "shown": shown,
+        "limit_um": limit_um,
     }
 
 
@@ -148,7 +151,8 @@ def _changing(
 ) -> Callable[..., Awaitable[Response]]:
     """Handle what changes the session.
 
-    The answer is the state after it, also where it came too late.
+    ``model`` is what a request holds, ``action`` makes the change of it, and may give a sentence to
+    show. The answer is the state after it, also where it came too late.
     """
 
     async def handle(request: Request) -> Response:
@@ -166,18 +170,6 @@ def _changing(
         return await run_sync(act)
 
     return handle
-
-
-def _change(session: Session, body: _ChangeBody) -> None:
-    session.change(body.change, version=body.version)
-
-
-def _undo(session: Session, body: _Body) -> None:
-    session.undo(version=body.version)
-
-
-def _redo(session: Session, body: _Body) -> None:
-    session.redo(version=body.version)
 
 
 def _snap(session: Session, body: _SnapBody) -> str:
@@ -213,7 +205,8 @@ def _find_texture(session: Session, body: _TextureBody) -> str:
         params=changed(session.study.registration, near=body.near),
         holes=(holes["moving"], holes["fixed"]),
     )
-    session.change(Import(layer=layer, marks=pairs_of(registration.marks)), version=body.version)
+    change = Import(layer=layer, marks=pairs_of(registration.marks))
+    session.change(change, version=body.version)
     return registration.sentence or ""
 
 
@@ -237,8 +230,9 @@ def get_export(request: Request) -> Response:
     """The marks as a file."""
     layer = _layer_name(request)
     format_name = request.query_params.get("format", "json")
-    live = served_of(request).live
-    name, content = exported(served_of(request).session, layer, format_name, live.fit(layer))
+    served = served_of(request)
+    fit = served.live.fit(layer)
+    name, content = exported(served.session, layer, format_name, fit)
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(content, headers=headers, media_type="application/octet-stream")
 
@@ -280,9 +274,13 @@ ROUTES = [
     route("/api/session", get_session),
     route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
-    route("/api/change", _changing(_ChangeBody, _change), "POST"),
-    route("/api/undo", _changing(_Body, _undo), "POST"),
-    route("/api/redo", _changing(_Body, _redo), "POST"),
+    route(
+        "/api/change",
+        _changing(_ChangeBody, lambda s, body: s.change(body.change, version=body.version)),
+        "POST",
+    ),
+    route("/api/undo", _changing(_Body, lambda s, body: s.undo(version=body.version)), "POST"),
+    route("/api/redo", _changing(_Body, lambda s, body: s.redo(version=body.version)), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

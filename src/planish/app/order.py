@@ -28,7 +28,11 @@ STAGING = f"{EDITS}/.apply"
 
 
 def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
-    """Give the study of a session's new run, and texts by name of its files in ``staging``."""
+    """Give the study of a session's new run, and texts by name of its files in ``staging``.
+
+    The study of the run stays but for what was changed; where something was taken out altogether,
+    the study names no file for it.
+    """
     study, holes = _original_run(session)
     original = session.first
     state = session.state
@@ -66,7 +70,9 @@ def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
 
 
 def _region(drawn: DrawnRegion) -> Region:
-    rings = tuple(ring_of(np.array(ring)) for ring in (drawn.polygon, *drawn.holes))
+    """The region of a polygon, as files of regions have it: its outer ring, and those of holes."""
+    points = map(np.array, (drawn.polygon, *drawn.holes))
+    rings = tuple(map(ring_of, points))
     return Region(name=drawn.name, reason=drawn.reason, author=drawn.author, polygons=(rings,))
 
 
@@ -114,4 +120,4 @@ def all_marks(
         dataset = with_holes(dataset, run_marks, side, usual_um=default_diameter_um)
         n_added = dataset.sizes["mark"] - len(labels)
         labels += islice(free_names(side, {*labels}), n_added)
-    return dataset.assign(label=("mark", np.array(labels, dtype=np.str_)))
+    return dataset.assign(label=("mark", np.array(labels, np.str_)))

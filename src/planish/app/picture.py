@@ -41,7 +41,9 @@ TILE = 256
 
 LAST_CODE = 65535
 _WINDOW = 256  # pixels along the edge of the parts that are sampled
-_FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
+# Such parts along each side, with and without a coarse level.
+_FEW = 2
+_MANY = 4
 
 
 def finite_or_none(number: Any) -> float | None:
@@ -79,9 +81,11 @@ class Codes:
         """Code each value."""
         if values.dtype == np.bool_:
             return values.astype(np.uint16) + np.uint16(1)
-        steps = np.rint((values.astype(np.float64) - self.offset) / self.scale)
+        offsets = values.astype(np.float64) - self.offset
+        steps = np.rint(offsets / self.scale)
         codes = np.clip(steps + 1, 1, LAST_CODE)
-        return np.where(np.isfinite(values), codes, 0).astype(np.uint16)
+        codes = np.where(np.isfinite(values), codes, 0)
+        return codes.astype(np.uint16)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,7 +158,7 @@ class PlanePicture:
         if len(self.levels) == 1:
             return _finite_values([])
         n_windows = _FEW if self._coarse.size else _MANY
-        starts: list[list[int]] = []
+        starts: list[list[int]] = []  # of the chunks that hold evenly spread places
         for n in self.full.shape:
             middles = np.linspace(0.5, n - 0.5, 2 * n_windows + 1).astype(int)[1::2]
             starts.append((middles // CHUNK * CHUNK).tolist())
@@ -176,6 +180,7 @@ class PlanePicture:
 
 
 def _finite_values(arrays: Sequence[Array]) -> Floats:
+    """Finite values of all arrays, in one row; empty of no array."""
     values = np.concatenate([np.empty(0), *map(np.ravel, arrays)]).astype(np.float64)
     return values[np.isfinite(values)]
 
@@ -192,17 +197,17 @@ _LAST_ON_DEMAND = 3  # levels up to this one are made of the window that is aske
 
 def user_cache() -> Path:
     """Folder for what can be made again: that of ``PLANISH_CACHE``, or of the platform."""
-    return Path(
-        os.environ.get("PLANISH_CACHE") or AppDirs("planish", appauthor=False).user_cache_dir
-    )
+    given_folder = os.environ.get("PLANISH_CACHE")
+    return Path(given_folder or AppDirs("planish", appauthor=False).user_cache_dir)
 
 
 def cache_folder(file: Path, *keys: str) -> Path:
     """Give the folder for the copies of a file's picture: another once the file has changed."""
     path = file.resolve()
     stat = path.stat()
-    key = "\n".join([str(path), str(stat.st_size), str(stat.st_mtime_ns), *keys])
-    return user_cache() / "levels" / hashlib.sha256(key.encode()).hexdigest()[:32]
+    key = "\n".join([f"{path}", f"{stat.st_size}", f"{stat.st_mtime_ns}", *keys])
+    digest = hashlib.sha256(key.encode()).hexdigest()
+    return user_cache() / "levels" / digest[:32]
 
 
 class ComputedLevels:
@@ -235,39 +240,38 @@ class ComputedLevels:
         ]
 
     def read(self, k: int, where: Where) -> Array:
-        """A window of a level."""
+        """A window of level k, which has pixels 2^k times as wide as full resolution."""
         if k in self._cached_levels:
             return np.array(self._level_arrays()[k][where])
-        window = tuple(
-            slice(s.start << k, min(s.stop << k, n))
-            for s, n in zip(where, self._shapes[0], strict=True)
-        )
         full = self._values
         if 0 in self._cached_levels:
             full = self._level_arrays()[0]
-        pixels = np.asarray(full[window])
+        rows, cols = where
+        # Slices take what lies behind the end for the end.
+        pixels = np.asarray(
+            full[rows.start << k : rows.stop << k, cols.start << k : cols.stop << k]
+        )
         for _ in range(k):
             pixels = halved_values(pixels)
-        return pixels[:: where[0].step or 1, :: where[1].step or 1]
+        return pixels[:: rows.step or 1, :: cols.step or 1]
 
     def _level_arrays(self) -> dict[int, Array]:
+        """The levels that are kept, mapped from their files, which are made where they are not."""
         with self._lock:
             if not self._arrays:
                 folder = self._folder if self._folder.is_dir() else self._make()
-                with suppress(OSError):
+                with suppress(OSError):  # the time of the last use, which `trim` goes by
                     os.utime(folder)
-                self._arrays = {
-                    k: np.load(folder / f"{k}.npy", mmap_mode="r")
-                    for k in sorted(self._cached_levels)
-                }
-                # a decoded file need not stay in memory.
+                for k in sorted(self._cached_levels):
+                    self._arrays[k] = np.load(folder / f"{k}.npy", mmap_mode="r")
+                # A decoded file need not stay in memory.
                 self._values = self._arrays.get(0, self._values)
         return self._arrays
 
     def _make(self) -> Path:
-        """Make what is kept in one pass.
+        """Make what is kept in one pass, and give its folder.
 
-        In a folder that goes with the session where the cache takes nothing.
+        One that goes with the session where the cache takes nothing.
         """
         cache_root = self._folder.parent
         temporary = cache_root / f".{self._folder.name}.{secrets.token_hex(4)}"
@@ -295,9 +299,8 @@ class ComputedLevels:
         """Write the levels that are kept, tile by tile of the full resolution."""
         level_files: dict[int, np.memmap[Any, Any]] = {}
         for k in self._cached_levels:
-            level_files[k] = np.lib.format.open_memmap(
-                folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k]
-            )
+            path = folder / f"{k}.npy"
+            level_files[k] = np.lib.format.open_memmap(path, "w+", self.dtype, self._shapes[k])
         for tile in map_tiles(self._shapes[0]):
             level_pixels = np.asarray(self._values[tile.rows, tile.cols])
             for k in range(len(self._shapes)):
@@ -313,7 +316,8 @@ class ComputedLevels:
 def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
     """Remove copies unused for the longest time until the others take at most ``most_bytes``."""
     with suppress(OSError):
-        folders = sorted({*root.iterdir()} - {keep}, key=lambda folder: folder.stat().st_mtime)
+        others = {*root.iterdir()} - {keep}
+        folders = sorted(others, key=lambda folder: folder.stat().st_mtime)
         sizes: dict[Path, int] = {}
         for folder in [*folders, keep]:
             sizes[folder] = sum(file.stat().st_size for file in folder.iterdir())

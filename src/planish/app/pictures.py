@@ -96,7 +96,10 @@ class Pictures:
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
-    """Pictures of a run: of each layer by itself, on the reference, and of what was made of all."""
+    """Pictures of a run: of each layer by itself, on the reference, and of what was made of all.
+
+    Names begin with that of the layer where several layers have maps of one name.
+    """
     results = open_results(run)
     study = study_of(run, results)
     if not results.is_link:
@@ -124,6 +127,7 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
 
 
 def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
+    """The flat maps of a sheet, and what flattening did to it, where the run has it."""
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
     if not (run / MAPS / "strain").is_dir():
@@ -185,6 +189,7 @@ def group_pictures(
 
 
 def _sort_key(data: xr.DataArray) -> tuple[int, str]:
+    """First the image, then properties, other values, standard errors, places; each by name."""
     name = str(data.name)
     is_value = name not in _PLACES
     is_of_rank = (
@@ -201,7 +206,8 @@ def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
     arrays: list[xr.DataArray] = []
     coords = {"y": grid.y_um, "x": grid.x_um}
     for level in levels.levels():
-        arrays.append(xr.DataArray(xr.Variable(("y", "x"), variable_data(level)), coords=coords))
+        variable = xr.Variable(("y", "x"), variable_data(level))
+        arrays.append(xr.DataArray(variable, coords=coords))
         coords = {axis: middles(um) for axis, um in coords.items()}
     return arrays
 
@@ -213,7 +219,7 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
     """
     path = Path(params.path)
     header = load_picture(path, decode=False)
-    pixel_um, _ = agreed_size(
+    (row_um, col_um), _ = agreed_size(
         across(header.stated),
         params.pixel_um,
         file_name=path.name,
@@ -225,17 +231,19 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
     _, title = channel_of(first_pixel, params.channel, file_name=path.name)
     rows, cols = header.values.shape[:2]
     options = params.model_dump_json(include={"channel", "gamma", "white_exposure"})
-    hashes = [fingerprint(file) for file in (params.white, params.dark) if file is not None]
+    references = filter(None, (params.white, params.dark))
+    hashes = [*map(fingerprint, references)]
     folder = cache_folder(path, "image", options, *hashes)
     keep_all = params.white is not None or not is_mapped(path)
     levels = ComputedLevels(_ImageValues(params, (rows, cols)), folder, keep_all=keep_all)
+    grid = Grid.regular((rows, cols), (row_um, col_um))
     return PlanePicture(
         plane=plane,
         layer=layer,
         name=name,
         title=title,
         units="1",
-        levels=_on_grids(levels, Grid.regular((rows, cols), (pixel_um[0], pixel_um[1]))),
+        levels=_on_grids(levels, grid),
     )
 
 
@@ -306,7 +314,8 @@ class Tiles:
         tile_cols = slice(col * TILE, min((col + 1) * TILE, cols))
         window_codes = picture.codes.of(self.window(picture, level, tile_rows, tile_cols))
         codes = np.zeros((TILE, TILE), "<u2")
-        codes[: window_codes.shape[0], : window_codes.shape[1]] = window_codes
+        n_rows, n_cols = window_codes.shape
+        codes[:n_rows, :n_cols] = window_codes
         return codes.tobytes()
 
     def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> Array:
@@ -333,9 +342,10 @@ class Tiles:
         return pixels
 
     def block(self, picture: PlanePicture, level: int, i: int, j: int) -> Array:
-        """The i-th block down and j-th across.
+        """The i-th block down and j-th across, of CHUNK pixels a side or what there are.
 
-        Whoever asks for it while it is read waits for the same one.
+        Whoever asks for it while it is read waits for the same one. Of the blocks that are held,
+        the one that was not asked for the longest goes first.
         """
         key = (picture.id, level, i, j)
         with self._lock:
@@ -345,8 +355,9 @@ class Tiles:
         if future is not new_future:
             return future.result()
         try:
-            window = (slice(k * CHUNK, (k + 1) * CHUNK) for k in (i, j))
-            block = picture.levels[level][tuple(window)].values
+            rows = slice(i * CHUNK, (i + 1) * CHUNK)
+            cols = slice(j * CHUNK, (j + 1) * CHUNK)
+            block = picture.levels[level][rows, cols].values
         except BaseException as error:
             with self._lock:
                 self._blocks.pop(key, None)
@@ -368,8 +379,12 @@ class Tiles:
 
 
 def _overlap(window: slice, k: int, length: int) -> Window:
-    """Part of a window that the k-th block covers, from the window's start and the block's."""
+    """Part of a window that the k-th block covers, from the window's start and the block's.
+
+    ``length`` of the block, along the axis of both.
+    """
     first = k * CHUNK
     start = max(window.start, first)
     stop = min(window.stop, first + length)
-    return slice(start - window.start, stop - window.start), slice(start - first, stop - first)
+    in_window = slice(start - window.start, stop - window.start)
+    return in_window, slice(start - first, stop - first)

@@ -38,16 +38,18 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> Entries:
 
     Missing values are None.
     """
-    rows, cols, (is_inside,) = _pixels(picture, np.array([[x, y]]), 0)
+    point_um = np.array([[x, y]])
+    rows, cols, (is_inside,) = _pixels(picture, point_um, 0)
     values: list[Entries] = []
-    # Its own place in a volume, or that of the first layer that has one.
+    # Values by variable, by layer: its own place in a volume, or that of the first layer that has
+    # one.
     of_layers: dict[str, dict[str, float | None]] = {picture.layer: {}}
     for p in tiles.pictures.on_same_pixels(picture):
         value = None
         if is_inside:
             value = finite_or_none(tiles.values_at(p, 0, rows, cols)[0])
-        described = {"id": p.id, "layer": p.layer, "name": p.name, "title": p.title}
-        values.append(described | {"units": p.units, "value": value})
+        described = {key: getattr(p, key) for key in ("id", "layer", "name", "title", "units")}
+        values.append(described | {"value": value})
         of_layers.setdefault(p.layer, {})[p.variable] = value
     volume = None
     for layer, of_layer in of_layers.items():
@@ -79,7 +81,8 @@ def nearest(
         return None
     level, positions_um = _overview(tiles, *maps)
     wanted_um = np.array([*place_um.values()])[:, None, None]
-    square_distance = np.sum((np.stack(positions_um) - wanted_um) ** 2, axis=0)
+    offsets_um = np.stack(positions_um) - wanted_um
+    square_distance = np.sum(offsets_um**2, axis=0)
     if not np.isfinite(square_distance).any():
         return None
     row, col = np.unravel_index(np.nanargmin(square_distance), square_distance.shape)
@@ -90,9 +93,9 @@ def nearest(
 def profile(
     tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]
 ) -> Entries:
-    """Values along a line (x0, y0, x1, y1), at ``at_um``, of pixels ``pixel_um`` wide.
+    """Values along a line (x0, y0, x1, y1) in um, at ``at_um``, of pixels ``pixel_um`` wide.
 
-    None in holes.
+    Of each picture, which are on the same pixels; None in holes and outside.
     """
     x0, y0, x1, y1 = line
     length_um = math.hypot(x1 - x0, y1 - y0)
@@ -103,9 +106,10 @@ def profile(
     level = max(0, math.ceil(math.log2(length_um / pixel_um / MOST_SAMPLES)))
     level = min(level, len(grid_picture.levels) - 1)
     step_um = pixel_um * 2**level
-    distances_um = np.linspace(0, length_um, min(int(length_um / step_um), 4 * MOST_SAMPLES) + 1)
+    n_steps = min(int(length_um / step_um), 4 * MOST_SAMPLES)
+    distances_um = np.linspace(0, length_um, n_steps + 1)
     shares = distances_um / length_um
-    points_um = np.array([x0, y0]) + shares[:, None] * np.array([x1 - x0, y1 - y0])
+    points_um = np.array([x0, y0]) + shares[:, None] * (x1 - x0, y1 - y0)
     rows, cols, is_inside = _pixels(grid_picture, points_um, level)
     lines: list[Entries] = []
     for picture in pictures:
@@ -113,11 +117,10 @@ def profile(
         place = (level, rows[is_inside], cols[is_inside])
         values[is_inside] = tiles.values_at(picture, *place)
         for mask in tiles.pictures.valid_of(picture):
-            values[is_inside] = np.where(tiles.values_at(mask, *place), values[is_inside], np.nan)
-        samples = [*map(finite_or_none, values)]
-        lines.append(
-            {"id": picture.id, "name": picture.name, "units": picture.units, "values": samples}
-        )
+            is_valid = tiles.values_at(mask, *place)
+            values[is_inside] = np.where(is_valid, values[is_inside], np.nan)
+        described = {key: getattr(picture, key) for key in ("id", "name", "units")}
+        lines.append(described | {"values": [*map(finite_or_none, values)]})
     return {"pixel_um": step_um, "at_um": distances_um.tolist(), "lines": lines}
 
 
@@ -126,12 +129,13 @@ def _pixels(picture: PlanePicture, points_um: Floats, level: int) -> tuple[Ints,
 
     Levels share corners.
     """
-    x0, y0 = picture.grid.origin_um
     dy, dx = picture.grid.pixel_um
-    rows = np.floor((points_um[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
-    cols = np.floor((points_um[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
+    # Columns and rows of full resolution, 0 at the corner of the first pixel.
+    places = (points_um - picture.grid.origin_um) / (dx, dy) + 0.5
+    cols, rows = np.floor(places).astype(np.intp).T >> level
     n_rows, n_cols = picture.levels[level].shape
-    return rows, cols, (rows >= 0) & (rows < n_rows) & (cols >= 0) & (cols < n_cols)
+    is_inside = (rows >= 0) & (rows < n_rows) & (cols >= 0) & (cols < n_cols)
+    return rows, cols, is_inside
 
 
 BASE_PIXELS = 4_000_000
@@ -193,8 +197,8 @@ def density(
         x = x[window]
         y = y[window]
         is_valid = is_valid[window]
-    cols = np.floor((x[is_valid] - a_low) * (_BINS / (a_high - a_low))).astype(np.int64)
-    rows = np.floor((y[is_valid] - b_low) * (_BINS / (b_high - b_low))).astype(np.int64)
+    cols = _bins_of(x[is_valid], a_low, a_high)
+    rows = _bins_of(y[is_valid], b_low, b_high)
     is_within = (np.minimum(rows, cols) >= 0) & (np.maximum(rows, cols) < _BINS)
     cells = (rows * _BINS + cols)[is_within]
     counts = np.bincount(cells, minlength=_BINS**2).astype("<u4")
@@ -211,6 +215,12 @@ def density(
     }
 
 
+def _bins_of(values: Floats, low: float, high: float) -> NDArray[np.int64]:
+    """Numbers of the bins between two limits in which values lie; below 0, or too large, beyond."""
+    bins_per_unit = _BINS / (high - low)
+    return np.floor((values - low) * bins_per_unit).astype(np.int64)
+
+
 def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None) -> Entries:
     """Count the valid values of a picture, of pixels of the stated size.
 
@@ -221,17 +231,19 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
     level, (values,) = _overview(tiles, picture)
     if holes is not None and not tiles.pictures.valid_of(picture):
         grid = Grid.of(picture.levels[level])
-        values[hole_mask(grid, centres_of(holes), _RIM * holes["diameter"].values)] = np.nan
+        radii_um = _RIM * holes["diameter"].values
+        values[hole_mask(grid, centres_of(holes), radii_um)] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
     low, high = _limits(finite)
     percentiles = [0.0, 1.0]
     if finite.size:
         percentiles = np.percentile(finite, [2, 98]).tolist()
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
-    mean = sd = None
+    mean = sd = median = None
     if finite.size:
         summands = summable(picture.full, finite)
         mean, sd, finite = distribution(finite, summands, ddof=int(finite.size > 1))
+        median = float(np.median(finite))
     return {
         "pixel_um": _pixel_um(picture, level),
         "n": finite.size,
@@ -242,7 +254,7 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
         "counts": counts.tolist(),
         "mean": mean,
         "sd": sd if finite.size > 1 else None,
-        "median": float(np.median(finite)) if finite.size else None,
+        "median": median,
     }
 
 
@@ -280,6 +292,7 @@ def select(
         unstated = dict.fromkeys(("r", "n_eff", "interval"))
         n = _n_selected(x, y, window, brushes, masks)
         return {"n": n, "pixel_um": pixel_um, **unstated, "warnings": []}
+    # One mask, true where all are, of which parts are read as they are asked for.
     mask = None
     if masks:
         mask = computed(
@@ -309,7 +322,10 @@ def _n_selected(
     brushes: Sequence[Brush],
     masks: Sequence[xr.DataArray],
 ) -> int:
-    """Count the pixels that are valid in both pictures and within all brushes."""
+    """Count the pixels that are valid in both pictures and within all brushes.
+
+    ``x``, ``y`` and the masks are cut to the window already.
+    """
     brush_values = [brush.picture.full[window] for brush in brushes]
     n = 0
     for _, (x_values, y_values, *bands) in read_bands(x, y, *brush_values, *masks):
@@ -327,14 +343,18 @@ def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> ND
 
 
 def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]:
-    """A level of few pixels, and the values of pictures there; NaN where they do not count."""
+    """A level of few pixels, and the values of pictures there; NaN where they do not count.
+
+    It is the finest with at most BASE_PIXELS, or the last; the pictures are on the same pixels.
+    """
     levels = pictures[0].levels
-    level = next((k for k, data in enumerate(levels) if data.size <= BASE_PIXELS), len(levels) - 1)
+    n_larger = sum(data.size > BASE_PIXELS for data in levels)
+    level = min(n_larger, len(levels) - 1)
     rows, cols = (slice(0, n) for n in levels[level].shape)
     masks = [tiles.window(p, level, rows, cols) for p in tiles.pictures.valid_of(*pictures)]
     is_valid = np.logical_and.reduce(masks) if masks else True
-    windows = [tiles.window(p, level, rows, cols).astype(np.float64) for p in pictures]
-    return level, [np.where(is_valid, window, np.nan) for window in windows]
+    windows = [tiles.window(p, level, rows, cols) for p in pictures]
+    return level, [np.where(is_valid, window.astype(np.float64), np.nan) for window in windows]
 
 
 def _limits(values: Floats) -> Pair:

@@ -3,13 +3,13 @@
 Every change is saved before it counts.
 """
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import sha256
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -152,9 +152,10 @@ class Session:
         """
         target = self.target(layer)
         kinds = {facts.name: facts.kind for facts in self.results.layers}
-        is_sheet_on_image = (kinds[layer], kinds.get(target, "image")) == ("sheet", "image")
-        names = ("Volume side", "Image side") if is_sheet_on_image else (layer, target)
-        return dict(zip(PLANES, names, strict=True))
+        # The image of a refused link is no layer of the run.
+        if kinds[layer] == "sheet" and kinds.get(target, "image") == "image":
+            return {"moving": "Volume side", "fixed": "Image side"}
+        return {"moving": layer, "fixed": target}
 
     def where(self, layer: str) -> dict[Plane, str]:
         """Words for both planes in a sentence."""
@@ -212,23 +213,15 @@ class Session:
         """
         if layer not in self.registrations:
             return self._detected_holes
-        return {
-            plane: holes_of(measured_holes(self.registrations[layer].marks, plane), plane)
-            for plane in PLANES
-        }
+        marks = self.registrations[layer].marks
+        return {plane: holes_of(measured_holes(marks, plane), plane) for plane in PLANES}
 
     @cached_property
     def _detected_holes(self) -> dict[Plane, xr.Dataset]:
+        """All holes of a sheet's maps, and of the image of its refused link."""
         assert self.image is not None
-        sources: dict[Plane, Any] = {
-            "moving": read_group(self.folder / MAPS, "maps"),
-            "fixed": self.image,
-        }
-        params = self.study.holes
-        side = self.side_of("image")
-        return {
-            plane: find_holes(data, params=params, side=side) for plane, data in sources.items()
-        }
+        find = partial(find_holes, params=self.study.holes, side=self.side_of("image"))
+        return {"moving": find(read_group(self.folder / MAPS, "maps")), "fixed": find(self.image)}
 
     @property
     def state(self) -> State:
@@ -285,7 +278,10 @@ class Session:
             return self.state
 
     def _step(self, journal_line: bytes, *, save: bool) -> None:
-        """Go to the state before or after, or to a new one; ChangeError where there is none."""
+        """Go to the state before or after, or to a new one; ChangeError where there is none.
+
+        ``journal_line``: undo, redo, or a change; with ``save`` it is appended to the journal.
+        """
         states = self._states
         position = self._position + 1
         if journal_line == _UNDO:
@@ -304,11 +300,11 @@ class Session:
         self.changed_at = self.version
 
     def _replay(self, regions: Regions | None) -> None:
-        """Begin with the run as it was, and make all changes of the journal again."""
-        marks = {
-            layer: pairs_of(registration.marks)
-            for layer, registration in self.registrations.items()
-        }
+        """Begin with the run as it was, and make all changes of the journal again.
+
+        ``regions`` are those that the run declares; None where it declares none.
+        """
+        marks = {name: pairs_of(layer.marks) for name, layer in self.registrations.items()}
         first_layer = self.layers[0]
         original = State(
             marks=marks or {first_layer: ()},
@@ -356,13 +352,15 @@ def image_key(params: ImageParams) -> str:
     files = filter(None, (params.path, params.white, params.dark))
     left_out = {"path", "white", "dark"}
     left_out |= {name for name in ("white_exposure", "gamma") if getattr(params, name) is None}
-    return " ".join([*map(fingerprint, files), params.model_dump_json(exclude=left_out)])
+    options = params.model_dump_json(exclude=left_out)
+    return " ".join([*map(fingerprint, files), options])
 
 
 def _image_params(run: Path, image: ImageParams | None, results: Results) -> ImageParams | None:
-    """Give the options of the image of a refused link.
+    """Give the options of the image of a refused link; None for a run that is linked.
 
-    They are as it is asked for, as it was then, or by its own metadata.
+    They are as it is asked for, as it was then, or by its own metadata. FileError where an image is
+    given with a link, or not given with a map.
     """
     if results.is_link:
         if image is None:
@@ -389,13 +387,17 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
 
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
-    """Give the ends of a file's marks in a plane, with all that is known of them."""
+    """Give the ends of a file's marks in a plane, with all that is known of them.
+
+    None for a mark that is not in this plane.
+    """
     places = model.places_of(marks, plane)
     x_um, y_um = places.um.T
     columns = {"x": x_um, "y": y_um, **places.extras}
     ends = list[End | None]()
     for k, source in enumerate(places.source):
-        end = {name: float(um[k]) for name, um in columns.items() if np.isfinite(um[k])}
+        row = {name: float(um[k]) for name, um in columns.items()}
+        end = {name: um for name, um in row.items() if math.isfinite(um)}
         is_placed = {"x", "y"} <= end.keys()
         ends.append(End.model_validate(end | {"source": source}) if is_placed else None)
     return ends
@@ -408,7 +410,10 @@ def pairs_of(
     *,
     label: Callable[[Any], str] = str,
 ) -> Marks:
-    """Give the marks of a file that lie in both planes."""
+    """Give the marks of a file that lie in both planes, called ``moving`` and ``fixed`` there.
+
+    ``label`` turns the label in the file into one of a session.
+    """
     ends = zip(ends_of(marks, moving), ends_of(marks, fixed), strict=True)
     pairs: list[Mark] = []
     for k, (moving_end, fixed_end) in enumerate(ends):
@@ -423,15 +428,19 @@ def pairs_of(
 def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
     """Give marks of a session as files have them; ``options`` is for `make_marks`."""
     labels = [mark.label for mark in marks]
-    places = {plane: _places_of([*map(attrgetter(plane), marks)]) for plane in PLANES}
-    return make_marks(labels, places, used=[mark.used for mark in marks], **options)
+    used = [mark.used for mark in marks]
+    places: dict[str, MarkPlaces] = {}
+    for plane in PLANES:
+        places[plane] = _places_of([getattr(mark, plane) for mark in marks])
+    return make_marks(labels, places, used=used, **options)
 
 
 def _places_of(ends: Sequence[End | None]) -> MarkPlaces:
     """Places of the ends of marks in one plane; NaN where one is missing."""
     columns: dict[str, Floats] = {}
     for name in ("x", "y", *EXTRAS):
-        columns[name] = np.array([getattr(end, name, None) for end in ends], dtype=np.float64)
+        numbers = [getattr(end, name, None) for end in ends]
+        columns[name] = np.array(numbers, np.float64)
     um = np.stack([columns.pop("x"), columns.pop("y")], axis=1)
     sources = [getattr(end, "source", "imported") for end in ends]
     return MarkPlaces(um=um, source=sources, extras=columns)
@@ -443,16 +452,15 @@ def _drawn_regions(declared: Regions) -> tuple[DrawnRegion, ...]:
     for region in declared.declared:
         for rings in region.polygons:
             polygon, *holes = map(_ring, rings)
-            regions.append(
-                DrawnRegion(
-                    id=f"r0-{len(regions) + 1}",
-                    name=region.name,
-                    author=region.author,
-                    reason=region.reason,
-                    polygon=polygon,
-                    holes=tuple(holes),
-                )
+            drawn = DrawnRegion(
+                id=f"r0-{len(regions) + 1}",
+                name=region.name,
+                author=region.author,
+                reason=region.reason,
+                polygon=polygon,
+                holes=tuple(holes),
             )
+            regions.append(drawn)
     return tuple(regions)
 
 

@@ -19,7 +19,7 @@ from planish.app.picture import Codes, layer_run
 from planish.core.errors import FileError, InputError
 from planish.core.facts import ResultModel
 from planish.core.frame import Axis, Frame
-from planish.core.grid import pitch
+from planish.core.grid import pitch, step_of
 from planish.core.labelled import read_box
 from planish.core.memory import LOOK_BYTES
 from planish.core.typing import Array, Floats, Pair, Singles, Texts, Window
@@ -130,7 +130,7 @@ class SlicedSheet:
 
     def voxels_um(self, axis: str) -> Floats:
         """Places of the voxels along an axis, um."""
-        return np.asarray(self.volume.coords[axis].values, dtype=np.float64)
+        return np.asarray(self.volume.coords[axis].values, np.float64)
 
     def count(self, direction: Direction) -> int:
         """Slices of a direction."""
@@ -148,7 +148,12 @@ class SlicedSheet:
         contours: Lines | None = None,
         **axes: AxisFacts,
     ) -> SheetSlice:
-        """A slice as the page takes it: grey in 16 bits, curves in 32, and what both mean."""
+        """A slice as the page takes it: grey in 16 bits, curves in 32, and what both mean.
+
+        ``values`` (down, across); ``codes``, where its grey is coded otherwise than that of the
+        sheet; ``lines`` and ``contours`` as of :class:`SheetSlice`; ``axes`` are the edges
+        ``across`` and ``down``, and ``columns`` where it has lines.
+        """
         lines = lines or {}
         contours = contours or {}
         codes = codes or self.codes
@@ -206,13 +211,18 @@ class SlicedSheet:
     def _across(
         self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None
     ) -> SheetSlice:
-        """One slice across the sheet, with the lines of its surfaces."""
+        """One slice across the sheet, with the lines of its surfaces.
+
+        Its edges are the axis through the sheet (down, the top first) and ``axis``, the lateral one
+        along it. ``profile_index``: the row or column of the surfaces in it.
+        """
         frame = self.frame
         axis: Axis = frame.cols if direction == frame.rows else frame.rows
         depth_um = self.voxels_um(frame.through)
         cols = _window(self.voxels_um(axis), near_um[0])
         planes = _window(depth_um, near_um[1])
-        box = {frame.through: planes, axis: cols, direction: slice(index, index + 1)}
+        this_slice = slice(index, index + 1)
+        box = {frame.through: planes, axis: cols, direction: this_slice}
         values = read_box(self.volume, box)[..., 0]
         depth_um = depth_um[planes]
         if frame.top == "high":
@@ -232,15 +242,17 @@ class SlicedSheet:
         )
 
     def _along(self, index: int, near_um: Near) -> SheetSlice:
+        """One slice along the sheet, with the contours in which its surfaces cross it."""
         frame = self.frame
         axes = frame.cols, frame.rows
         cols, rows = map(_window, map(self.voxels_um, axes), near_um)
-        box = {frame.rows: rows, frame.cols: cols, frame.through: slice(index, index + 1)}
+        this_slice = slice(index, index + 1)
+        box = {frame.rows: rows, frame.cols: cols, frame.through: this_slice}
         values = read_box(self.volume, box)[..., 0]
         height_um = float(self.voxels_um(frame.through)[index])
-        surfaces = self.surfaces.isel(
-            y=self._columns(frame.rows, rows), x=self._columns(frame.cols, cols)
-        )
+        surface_rows = self._columns(frame.rows, rows)
+        surface_cols = self._columns(frame.cols, cols)
+        surfaces = self.surfaces.isel(y=surface_rows, x=surface_cols)
         x = surfaces["x"].values
         y = surfaces["y"].values
         contours = {name: contour(surfaces[name].values - height_um, x, y) for name in HEIGHTS}
@@ -254,27 +266,34 @@ class SlicedSheet:
         )
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
-        """One row of columns, sampled along the normals: the sheet as if it were flat."""
+        """One row of columns, sampled along the normals: the sheet as if it were flat.
+
+        Its height is 0 at the centre surface; 1.5 thicknesses to either side are shown. Lines are
+        heights along the normals, too.
+        """
         frame = self.frame
         columns_um = self._columns_um(frame.cols)
         window = _window(columns_um, near_um[0])
         lines = self._lines(frame.cols, index, window, corrections)
         thickness_um = float(self.surfaces.attrs["thickness_um"])
-        voxel_um = abs(float(np.diff(self.voxels_um(frame.through)[:2])[0]))
+        first_um, second_um = self.voxels_um(frame.through)[:2].tolist()
+        voxel_um = abs(second_um - first_um)
+        reach_um = 1.5 * thickness_um
         # Voxels to either side of the centre surface.
-        reach = int(np.ceil(1.5 * thickness_um / voxel_um))
+        reach = int(np.ceil(reach_um / voxel_um))
         s_um = voxel_um * np.arange(reach, -reach - 1, -1).astype(np.float64)
         values = self._sampled(index, window, lines, s_um)
-        halo_rows = int(np.ceil(1.5 * thickness_um / min(pitch(self.surfaces)))) + 2
+        # Normals meet the faces above and below other rows, and lean by the rows beside these.
+        halo_rows = int(np.ceil(reach_um / min(pitch(self.surfaces)))) + 2
         first_row = max(index - halo_rows, 0)
-        surfaces = self._surfaces_in(
-            slice(first_row, index + halo_rows + 1), window, (*HEIGHTS, "status")
-        )
+        rows = slice(first_row, index + halo_rows + 1)
+        surfaces = self._surfaces_in(rows, window, (*HEIGHTS, "status"))
         _, faces = meet(surfaces, "normal")
         for name in HEIGHTS:
             if name != "centre":
                 lines[name] = faces[name][index - first_row]
         lines["centre"] = np.zeros(columns_um[window].size)
+        # These are heights in the volume.
         for name in [*lines]:
             if name.startswith(("preview", "found")):
                 del lines[name]
@@ -295,7 +314,10 @@ class SlicedSheet:
         )
 
     def _sampled(self, index: int, window: slice, lines: Lines, s_um: Floats) -> Floats:
-        """Grey along the normals of one row, (s, columns)."""
+        """Grey along the normals of one row, (s, columns); NaN outside the volume or the sheet.
+
+        ``lines`` as of `_lines`, ``s_um`` are heights above the centre surface.
+        """
         from scipy import ndimage
 
         frame = self.frame
@@ -321,42 +343,53 @@ class SlicedSheet:
         return values
 
     def _columns_um(self, axis: str) -> Floats:
-        return np.asarray(
-            self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64
-        )
+        name = "y" if axis == self.frame.rows else "x"
+        return np.asarray(self.surfaces[name].values, np.float64)
 
     def _edge(self, axis: Axis, window: slice) -> AxisFacts:
         return edge_of(axis, self.voxels_um(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
+        """The columns of the surfaces over some voxels of a lateral axis."""
         end = -(-voxels.stop // self.step)
-        return slice(voxels.start // self.step, min(end, self._columns_um(axis).size))
+        n_columns = self._columns_um(axis).size
+        return slice(voxels.start // self.step, min(end, n_columns))
 
     def _surfaces_in(
         self, rows: slice, cols: slice, names: Sequence[str] | None = None
     ) -> xr.Dataset:
+        """A part of the surfaces in memory; what is shown of them, where no names are given."""
         if names is None:
             stored = map(str, self.surfaces.data_vars)
             names = [k for k in stored if k in _READ_NAMES or k.startswith(_READ_PREFIXES)]
-        return self.surfaces[[*names]].isel(y=rows, x=cols).load()
+        variables = self.surfaces[[*names]]
+        return variables.isel(y=rows, x=cols).load()
 
     def _lines(
         self, along: str, index: int, columns: slice, corrections: Corrections | None
     ) -> Lines:
-        """What is known of a row or column of the surfaces, and the normals of the sheet there."""
+        """What is known of a row or column of the surfaces, and the normals of the sheet there.
+
+        ``along``: the lateral axis that it runs along; ``index`` counts across, ``columns`` are the
+        part of it. Heights and what stands beside them by their names, NaN where unknown; ``place``
+        is the centre surface; ``normal_rows``, ``normal_cols`` and ``normal_through`` make the unit
+        normal, towards the top.
+        """
         axis = 0 if along == self.frame.cols else 1
         neighbours = slice(max(index - 1, 0), index + 2)
         offset = index - neighbours.start
         neighbourhood = self._surfaces_in(*_in_order(neighbours, columns, axis))
         profile = neighbourhood.isel({"yx"[axis]: offset})
-        lines = {str(k): data.values.astype(np.float64) for k, data in profile.items()}
+        lines = {str(name): data.values.astype(np.float64) for name, data in profile.items()}
         centre = self.frame.sign * neighbourhood["centre"].values.astype(np.float64)
-        all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
+        slopes = slopes_of(centre, pitch(self.surfaces))
+        all_normals = directions(slopes, "normal")
         normals = np.take(all_normals, offset, axis=axis)
         lines["place"] = lines["centre"]
         lines["normal_rows"] = normals[:, 0]
         lines["normal_cols"] = normals[:, 1]
         lines["normal_through"] = self.frame.sign * normals[:, 2]
+        # 255 where nothing was corrected.
         if "found_status" in lines:
             lines["found_status"][lines["found_status"] == 255] = np.nan
         if corrections is not None and corrections.stretches:
@@ -365,17 +398,23 @@ class SlicedSheet:
         return lines
 
     def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> Lines:
-        """The faces of some columns as corrections would move them."""
+        """The faces of some columns as corrections would move them, in one row.
+
+        Empty where they move nothing there.
+        """
         preview = preview_faces(self.surfaces, self.volume, corrections, (rows, cols))
         if preview is None:
             return {}
+        # The corrections change a window of their own, of which these columns may be a part.
         window, corrected = preview
         measured = uncorrected(self._surfaces_in(rows, cols))
+        asked = (rows, cols)
         overlap = [
             slice(max(a.start, b.start), min(a.stop, b.stop))
-            for a, b in zip((rows, cols), window, strict=True)
+            for a, b in zip(asked, window, strict=True)
         ]
-        target, source = (tuple(map(_relative, overlap, s)) for s in ((rows, cols), window))
+        target = tuple(map(_relative, overlap, asked))
+        source = tuple(map(_relative, overlap, window))
         faces: Lines = {}
         for face in ("top", "bottom"):
             values = measured[face].values.astype(np.float64)
@@ -423,6 +462,7 @@ def contour(height: Floats, x: Floats, y: Floats) -> Floats:
         return np.empty((0, 4))
     masked = np.ma.masked_invalid(height)
     generator = contour_generator(x, y, masked, line_type=LineType.Separate, corner_mask=False)
+    # Each line (points, 2) is cut into segments from one point to the next.
     lines: Any = generator.lines(0.0)
     segments = [np.hstack([line[:-1], line[1:]]) for line in lines]
     return np.concatenate([np.empty((0, 4)), *segments])
@@ -439,15 +479,13 @@ def _window(coordinates: Floats, near_um: float | None) -> slice:
     middle = coordinates.size // 2
     if near_um is not None:
         middle = int(np.abs(coordinates - near_um).argmin())
-    first = int(np.clip(middle - WIDEST // 2, 0, coordinates.size - WIDEST))
+    last_start = coordinates.size - WIDEST
+    first = min(max(middle - WIDEST // 2, 0), last_start)
     return slice(first, first + WIDEST)
 
 
 def edge_of(name: Literal["z", "y", "x", "height"], coordinates: Floats) -> AxisFacts:
     """Give the edge of a slice along which its pixels have these places."""
-    step_um = 1.0
-    if coordinates.size > 1:
-        step_um = float(coordinates[1] - coordinates[0])
-    return AxisFacts(
-        name=name, first_um=float(coordinates[0]), step_um=step_um, count=coordinates.size
-    )
+    first_um = float(coordinates[0])
+    step_um = step_of(coordinates)
+    return AxisFacts(name=name, first_um=first_um, step_um=step_um, count=coordinates.size)

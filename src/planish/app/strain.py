@@ -66,17 +66,18 @@ def _on_pixels(
 ) -> Array:
     """Values of the mesh's cells in which the pixels of a part of a flat map lie.
 
-    ``coordinates`` are the places.
+    ``coordinates`` are the places of the map's pixels in the volume, along the mesh's rows and
+    columns, in um; ``where`` is the part. NaN for pixels outside of the mesh.
     """
     indices: list[Ints] = []
     is_on_mesh = True
     for axis, coordinate in zip(("y", "x"), coordinates, strict=True):
-        centres_um = np.asarray(cells[axis].values, dtype=np.float64)
-        pixels_um = np.asarray(coordinate[where].values, dtype=np.float64)
-        pitch_um = (centres_um[-1] - centres_um[0]) / (centres_um.size - 1)
-        position = (pixels_um - centres_um[0]) / pitch_um
+        centres_um = np.asarray(cells[axis].values, np.float64)
+        pixels_um = np.asarray(coordinate[where].values, np.float64)
+        position = (pixels_um - centres_um[0]) / _mean_step(centres_um)
         is_inside = (position > -0.5) & (position < centres_um.size - 0.5)  # False where it is NaN
-        indices.append(np.where(is_inside, np.rint(position), 0).astype(np.intp))
+        nearest = np.where(is_inside, np.rint(position), 0)
+        indices.append(nearest.astype(np.intp))
         is_on_mesh = is_on_mesh & is_inside
     return np.where(is_on_mesh, cells.values[tuple(indices)], np.float32(np.nan))
 
@@ -84,9 +85,10 @@ def _on_pixels(
 def strains(
     run: Path, coordinates: Mapping[str, Sequence[xr.DataArray]]
 ) -> Iterator[tuple[str, StrainDisplay, list[xr.DataArray]]]:
-    """Each known strain of a flat map: name, title, units, values at every level.
+    """Each known strain of a flat map: name, how it is shown, values at every level.
 
-    ``coordinates``: its place, um.
+    ``coordinates``: maps of the pixels' place in the volume in um, as ``volume_x``, each at every
+    level.
     """
     strain = read_group(run / MAPS, "strain")
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))
@@ -94,12 +96,20 @@ def strains(
     for name, display in STRAINS.items():
         if name not in strain or min(strain[name].shape) < 2:
             continue
-        cells = (display.factor * (strain[name] - display.unstrained)).astype(np.float32)
+        shown = display.factor * (strain[name] - display.unstrained)
+        cells = shown.astype(np.float32)
         if not np.isfinite(cells.values).any():
             continue
-        pairs = zip(rows, cols, strict=True)
-        levels = [computed(p[0], partial(_on_pixels, cells, p), np.float32) for p in pairs]
+        levels: list[xr.DataArray] = []
+        for places in zip(rows, cols, strict=True):
+            read = partial(_on_pixels, cells, places)
+            levels.append(computed(places[0], read, np.float32))
         yield name, display, levels
+
+
+def _mean_step(coordinates: Array) -> float:
+    """Distance of regular coordinates; 0 of a single one."""
+    return (coordinates[-1] - coordinates[0]) / max(coordinates.size - 1, 1)
 
 
 def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
@@ -120,17 +130,19 @@ def mesh_lines(run: Path) -> tuple[list[list[Pair]], int]:
     for axis in ("y", "x"):
         columns_um = np.asarray(flat[axis].values)
         cells_um = np.asarray(strain[axis].values)
-        cell_pitch_um = (cells_um[-1] - cells_um[0]) / max(cells_um.size - 1, 1)
+        cell_pitch_um = _mean_step(cells_um)
         first_um = cells_um[0] - 0.5 * cell_pitch_um
         nodes_um = first_um + cell_pitch_um * np.arange(0, cells_um.size + 1, line_step)
-        column_pitch_um = (columns_um[-1] - columns_um[0]) / max(columns_um.size - 1, 1)
-        indices = np.rint((nodes_um - columns_um[0]) / column_pitch_um)
-        nodes.append(np.clip(indices, 0, columns_um.size - 1).astype(np.intp))
-    uv = np.empty((nodes[0].size, nodes[1].size, 2))
+        indices = np.rint((nodes_um - columns_um[0]) / _mean_step(columns_um))
+        indices = np.clip(indices, 0, columns_um.size - 1)
+        nodes.append(indices.astype(np.intp))
+    node_rows, node_cols = nodes
+    uv = np.empty((node_rows.size, node_cols.size, 2))
     for band, uv_band in read_bands(flat["u"], flat["v"]):
-        is_in_band = (nodes[0] >= band.start) & (nodes[0] < band.stop)
-        in_band = np.ix_(nodes[0][is_in_band] - band.start, nodes[1])
+        is_in_band = (node_rows >= band.start) & (node_rows < band.stop)
+        in_band = np.ix_(node_rows[is_in_band] - band.start, node_cols)
         uv[is_in_band] = np.stack(uv_band, axis=-1)[in_band]
+    # Along rows and columns, from where the sheet begins to where it ends.
     lines: list[list[Pair]] = []
     for line in (*uv, *uv.transpose(1, 0, 2)):
         is_sheet = np.isfinite(line).all(axis=1)

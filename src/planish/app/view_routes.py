@@ -62,16 +62,16 @@ def get_cursor(request: Request) -> Response:
 def get_pixel(request: Request) -> Response:
     """The pixel of a map that shows the sheet nearest to a place in the volume."""
     place_um = {axis: _number(request, axis) for axis in "xyz" if axis in request.query_params}
-    point = nearest(
-        _tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um
-    )
+    layer = request.query_params.get("layer", "")
+    point = nearest(_tiles(request), _picture(request, "id"), layer, place_um)
     return Answer(point and dict(zip("xy", point, strict=True)))
 
 
 def get_profile(request: Request) -> Response:
     """Values along a line."""
     x0, y0, x1, y1 = _numbers(request, "line", 4, needed=True)
-    pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
+    keys = [key for key in ("a", "b") if key in request.query_params]
+    pictures = [_picture(request, key) for key in keys]
     return Answer(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
 
@@ -218,7 +218,8 @@ def get_slice(request: Request) -> Response:
     direction = request.path_params["direction"]
     if direction not in ("z", "y", "x", "straight"):
         raise InputError("Slices run across z, y or x, or are straight.")
-    across_um, down_um = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
+    across_um = next(iter(_numbers(request, "across", 1)), None)
+    down_um = next(iter(_numbers(request, "down", 1)), None)
     corrections = _shown_corrections(request, sheet.name)
     index = request.path_params["index"]
     cut = sheet.cut(direction, index, near_um=(across_um, down_um), corrections=corrections)
@@ -275,10 +276,11 @@ def slice_message(sheet_slice: SheetSlice) -> bytes:
     """
     header = json.dumps(sheet_slice.facts.model_dump(mode="json")).encode()
     header += b" " * (-len(header) % 4)
-    pixels = np.ascontiguousarray(sheet_slice.pixels, dtype="<u2").tobytes()
-    blocks = [struct.pack("<I", len(header)), header, pixels, b"\0" * (-len(pixels) % 4)]
+    pixels = np.ascontiguousarray(sheet_slice.pixels, "<u2").tobytes()
+    padding = b"\0" * (-len(pixels) % 4)  # what follows begins at a multiple of 4 bytes
+    blocks = [struct.pack("<I", len(header)), header, pixels, padding]
     curves = (*sheet_slice.lines, *sheet_slice.contours)
-    blocks += [np.ascontiguousarray(curve, dtype="<f4").tobytes() for curve in curves]
+    blocks += [np.ascontiguousarray(curve, "<f4").tobytes() for curve in curves]
     return b"".join(blocks)
 
 
@@ -308,7 +310,8 @@ def flattening(request: Request) -> Response:
 def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
     session = served_of(request).session
-    run = sheet_run(session.folder, session.study, request.query_params.get("layer", ""))
+    layer = request.query_params.get("layer", "")
+    run = sheet_run(session.folder, session.study, layer)
     lines, line_step = ([], 1) if run is None else mesh_lines(run)
     return Answer({"lines": lines, "every": line_step})
 

@@ -1,7 +1,5 @@
 """The ending of a command that answers one question: its tables and sentences, or JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -128,7 +128,7 @@ def print_json(data: Any) -> None:
 def wrapped(text: str, width: int) -> str:
     """Break lines at blanks, but not between a number and its unit.
 
-    Further lines of a paragraph are set in.
+    ``width`` in letters. Further lines of a paragraph are set in by two.
     """
     width = max(width, _LEAST_WIDTH)
     style = dict.fromkeys(("break_long_words", "break_on_hyphens", "replace_whitespace"), False)
@@ -152,8 +152,9 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
     In columns, or one row below the other where the terminal is too narrow.
 
-    One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts;
-    others may end in one.
+    ``columns`` are the headings, ``rows`` have a cell for each; the first cell is the row's name.
+    One of the headings may be ``unit``, that of all numbers of the row but counts; others may end
+    in one.
     """
     rows = [[*map(shown, row)] for row in rows]
     widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
@@ -186,7 +187,11 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
 
 
 def _lines_of(columns: Sequence[str], row: Sequence[str]) -> Iterator[str]:
-    """The name of a row, and a line for each of its values with its unit."""
+    """The name of a row, and a line for each of its values with its unit.
+
+    The cell of the column ``unit`` stands behind the values that take it, and in no line of its
+    own. Empty cells are left out, and no unit follows a dash.
+    """
     pairs = [*zip(columns, row, strict=True)]
     unit_of_row = ""
     if any(_takes_unit(*pair) for pair in pairs):

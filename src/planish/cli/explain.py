@@ -1,7 +1,5 @@
 """The command that explains a map by others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

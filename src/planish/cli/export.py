@@ -55,11 +55,9 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
         print_json({"out": str(out), "format": params.to, "files": [str(path) for path in files]})
         return
     file_format = FORMATS[params.to]
-    missing_text = (
-        ""
-        if file_format.missing == "–"
-        else f"; missing values: {file_format.missing.replace('`', '')}"
-    )
+    missing_text = ""
+    if file_format.missing != "–":
+        missing_text = f"; missing values: {file_format.missing.replace('`', '')}"
     click.echo(
         f"{out}: {file_format.title}, {len(files)} file{'s' * (len(files) > 1)}{missing_text}"
     )
@@ -150,6 +148,7 @@ def view(
     session = Session.open(run, shown_image, read_only=read_only)
 
     def started(url: str) -> None:
+        """Print the address once it is served, and open it."""
         facts = {"url": url, "run": str(run), "read_only": session.read_only}
         click.echo(json.dumps(facts) if as_json else url)
         if session.reason:

@@ -83,7 +83,10 @@ def info(path: Path, picture: Path | None, as_json: bool, **sizes: Any) -> None:
 
 
 def _facts_of_file(path: Path, sizes: Entries, sections: list[Section] | None) -> Entries:
-    """What a file holds; its middle sections are added to ``sections``."""
+    """What a file holds; its middle sections are added to ``sections``, where it is a list.
+
+    ``sizes``: the options on its size, None where not given.
+    """
     from planish.io import describe
     from planish.io.inspection import middle_sections
 
@@ -204,10 +207,10 @@ def properties() -> None:
     from planish.core.plugins import plugins
     from planish.measure import find_property, registered
 
-    rows = [(p.name, p.units, p.long_name) for p in registered().values()]
-    own_names = {name for name, _, _ in rows}
+    own = registered()
+    rows = [(prop.name, prop.units, prop.long_name) for prop in own.values()]
     for plugin in plugins("property"):
-        if plugin.name in own_names:
+        if plugin.name in own:
             continue
         try:
             prop = find_property(plugin.name)

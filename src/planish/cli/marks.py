@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 from pydantic import Field
@@ -27,7 +27,7 @@ from planish.cli.options import (
 from planish.core.files import write_whole
 from planish.core.typing import Array, Entries, Pair, Texts
 from planish.design.params import DesignParams, ImagingParams, StageParams
-from planish.marks.exchange.formats import FORMATS, TARGETS, target_of
+from planish.marks.exchange.formats import FORMATS, TARGETS, Unit, target_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -207,12 +207,17 @@ def simulate(
 
 
 def _difference(shots_um: Array, holes_um: Array) -> str | None:
-    """How the shots of a program differ from the holes of a pattern; None where they do not."""
+    """How the shots of a program differ from the holes of a pattern; None where they do not.
+
+    Both (n, 2), in um on the stage, in any order.
+    """
     import numpy as np
 
     if len(holes_um) != len(shots_um):
         return f"the program fires {len(shots_um)} shots, the pattern has {len(holes_um)} holes."
-    distance_um = np.hypot(*(shots_um[:, None] - holes_um[None]).transpose(2, 0, 1))
+    # Of each shot from each hole; the worst hole or shot is farthest from its nearest partner.
+    offsets_um = shots_um[:, None] - holes_um[None]
+    distance_um = np.hypot(offsets_um[..., 0], offsets_um[..., 1])
     worst_um = max(float(distance_um.min(axis=axis).max()) for axis in (0, 1))
     if worst_um <= 0.001:  # um: a program states positions to 0.0005
         return None
@@ -273,8 +278,8 @@ def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[Entries]]:
 def convert(
     files: tuple[Path, ...],
     to: str | None,
-    unit: Literal["um", "mm", "pixel"] | None,
-    out_unit: Literal["um", "mm", "pixel"] | None,
+    unit: Unit | None,
+    out_unit: Unit | None,
     swap: bool,
     swap_out: bool,
     as_json: bool,
@@ -294,8 +299,8 @@ def convert(
     *sources, out = files
     out_format = to or target_of(out)
     layer_pixels = {
-        k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"])
-        for k in ("moving", "fixed")
+        layer: LayerPixels(options[f"{layer}_pixel_um"], options[f"{layer}_origin_um"])
+        for layer in ("moving", "fixed")
     }
     marks = read_any(*sources, **layer_pixels, unit=unit, swap=swap)
     out_files = write_any(marks, out, to=out_format, **layer_pixels, unit=out_unit, swap=swap_out)

@@ -3,7 +3,7 @@
 Their groups in the help; how text becomes numbers.
 """
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial, reduce
 from itertools import chain
@@ -21,6 +21,7 @@ from planish.core.annotations import words_in as literal_words
 from planish.core.errors import PlanishError, StudyError
 from planish.core.options import (
     Params,
+    Paths,
     Shown,
     options_of,
     params_of,
@@ -84,7 +85,10 @@ class Verb(click.Command):
 
 
 def with_commands(text: str, ctx: click.Context) -> str:
-    """Add to a text the commands with the options that it names and this command has not."""
+    """Add to a text the commands with the options that it names and this command has not.
+
+    A text names options by the words of a call, in backticks: `voxel_um`.
+    """
     missing_names = {*names_in(text)} - words_of_command(ctx.command)
     if not missing_names:
         return text
@@ -146,7 +150,11 @@ class Value(click.ParamType[Any]):
     def __init__(
         self, field_type: Any, metavar: str | None = None, *, repeat: bool = False
     ) -> None:
-        """Read off a type how many values it takes, which words, and what stands for them."""
+        """Read off a type how many values it takes, which words, and what stands for them.
+
+        ``repeat`` as in the class; ``metavar``, the placeholder in the help, of the type where not
+        given.
+        """
         self.adapter = TypeAdapter[Any](field_type)
         self.can_repeat = repeat
         types = kinds_of(field_type)
@@ -230,7 +238,11 @@ def _none_if_empty(_context: Any, _option: Any, values: Texts) -> Texts | None:
 
 
 def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> Command:
-    """An option of a command for a field of a model, by the type of its value."""
+    """An option of a command for a field of a model, by the type of its value.
+
+    A truth value, or a model of its own, is a flag; several texts are an option that may be given
+    again; some words are a choice; all else is one value that is checked by the field's limits.
+    """
     types = kinds_of(field.annotation)
     is_flag = types == [bool] or _is_params(types[0])
     help_text = in_terminal_words(field.description or "")
@@ -263,13 +275,16 @@ def _default(field: FieldInfo) -> str:
     return f"  [default: {','.join(texts)}]"
 
 
-def given_options(values: Fields, tables_of: Mapping[str, Texts]) -> Entries:
+def given_options(values: Fields, tables_of: Paths) -> Entries:
     """Collect the options that the command line gives in the tables where they stand.
 
-    Only options with a place are collected.
+    ``values`` by their words, None where not given; ``tables_of``: the path of each word in the
+    tables. Only options with a place are collected. Wrong usage where an option belongs to a switch
+    that is not given.
     """
     stated_values = {name: values[name] for name in tables_of if values.get(name) is not None}
     given_values = {name: value for name, value in stated_values.items() if value is not False}
+    # A table of options is switched on by the word that stands at its own place.
     switches = {table: name for name, table in tables_of.items()}
     for name in given_values:
         switch = switches.get(tables_of[name][:-1], name)

@@ -110,6 +110,11 @@ def _run_and_show(
     changes: Texts = (),
     old_run: Path | None = None,
 ) -> int:
+    """Run a study into ``out``, show it, and give the exit code.
+
+    ``values`` are the options of the command; ``changes`` those of ``--set``, each NAME=VALUE;
+    ``old_run`` is the one whose stages may be taken over.
+    """
     from planish.run import run_study
     from planish.run.study import with_values
 
@@ -229,7 +234,10 @@ def run(study: Path, out: Path | None, changes: Texts, **values: Any) -> int:
 
 
 def _compare(old_run: Path, new_run: Path) -> None:
-    """Say which files of a repeated run differ from those of the run before."""
+    """Say which files of a repeated run differ from those of the run before.
+
+    Of a run of another version, which has other files, that alone.
+    """
     from planish.run.run import MAPS
 
     old_facts = run_facts(old_run)
@@ -256,17 +264,23 @@ def _phrases(names: Sequence[str], store: str) -> list[str]:
     stored = [Path(name).parts for name in names if name.startswith(f"{store}/")]
     phrases = [name for name in names if not name.startswith(f"{store}/")]
     if stored:
-        groups = ", ".join(sorted({parts[1] for parts in stored if len(parts) > 2}))
-        store_text = f"{store} ({groups})" if groups else store
+        # Deeper ones lie in the folder of a group.
+        groups = {parts[1] for parts in stored if len(parts) > 2}
+        store_text = f"{store} ({', '.join(sorted(groups))})" if groups else store
         phrases.insert(0, f"{len(stored)} file{'s' * (len(stored) > 1)} of {store_text}")
     return phrases
 
 
 def _files_of(run: Path) -> set[str]:
     """Files of a run that are compared: no hidden note of maps, and no changes in the browser."""
-    files = [file.relative_to(run) for file in run.rglob("*") if file.is_file()]
-    visible = [file for file in files if not file.name.startswith(".")]
-    return {f.as_posix() for f in visible if f.parts[0] != EDITS or f.name in EDITS_APPLIED}
+    names: set[str] = set()
+    for path in run.rglob("*"):
+        if not path.is_file() or path.name.startswith("."):
+            continue
+        file = path.relative_to(run)
+        if file.parts[0] != EDITS or file.name in EDITS_APPLIED:
+            names.add(file.as_posix())
+    return names
 
 
 @verb("planish demo", "planish demo --out try --seed 2")

@@ -1,7 +1,5 @@
 """The command that describes maps by octaves of wavelength."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -196,7 +196,7 @@ class _ProgressLines:
         self.start_s = time.monotonic()
 
     def __call__(self, member: Member, seconds: float | None) -> None:
-        """Say what became of a specimen; one that was done before took no time."""
+        """Say what became of a specimen in how many seconds; None for one that was done before."""
         self.n_done += 1
         state_text = _STATE_TEXTS[member.state]
         remaining_text = ""
@@ -218,7 +218,10 @@ class _ProgressLines:
 def _dry_run(
     state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int
 ) -> int:
-    """A table of what would be done; nothing is written."""
+    """Print a table of what would be done, and give the exit code; nothing is written.
+
+    ``jobs`` specimens are worked on at a time.
+    """
     rows: list[Texts] = []
     to_do: list[Estimate] = []
     n_kept = 0
@@ -250,6 +253,7 @@ _CLOSE_R = 0.995  # r of which more decimals are written
 def _margin(
     _context: click.Context, _parameter: click.Parameter, assignments: Texts
 ) -> dict[str, float]:
+    """Margins by what they are of, as of ``coating_top=0.5``; anything else is wrong usage."""
     margins: dict[str, float] = {}
     for assignment in assignments:
         name, _, number = assignment.partition("=")
@@ -384,21 +388,25 @@ def _show(results: SeriesResults) -> None:
 
 
 def _show_specimens(results: SeriesResults) -> None:
+    """Print a row for each specimen: its factors, its state, and its figures."""
     headings = ["", *results.factors, "checks"]
     for q in results.quantities:
         statistic = "thin" if q.what == "thin_share" else q.what
-        headings.append(" ".join(filter(None, (q.layer, q.map, statistic, q.other_layer))))
+        words = (q.layer, q.map, statistic, q.other_layer)
+        headings.append(" ".join(filter(None, words)))
     rows: list[list[str]] = []
     for specimen in results.specimens:
         cells = ["-"] * len(results.quantities)
         for k, cell in enumerate(specimen.cells):
             cells[k] = _cell_text(cell, results.quantities[k].what)
-        factors = [specimen.factor(factor) for factor in results.factors]
-        rows.append([specimen.name, *factors, specimen.light or specimen.member.state, *cells])
+        factors = map(specimen.factor, results.factors)
+        state = specimen.light or specimen.member.state
+        rows.append([specimen.name, *factors, state, *cells])
     table("Specimens (sd: standard deviation; *: takes part in no mean)", headings, rows)
 
 
 def _number_text(value: float | None, statistic: str) -> str:
+    """A figure with the decimals of its kind: mean, sd, thin_share or r; a dash for none."""
     if value is None or not is_known(value):
         return "-"
     digits = 3
@@ -416,6 +424,7 @@ def _interval_text(limits: Pair, statistic: str) -> str:
 
 
 def _cell_text(cell: Any, statistic: str) -> str:
+    """A figure of a specimen; an r with its interval, and a star where it takes part in no mean."""
     text = _number_text(cell.value, statistic)
     if statistic == "r" and cell.low is not None:
         digits = 5 if cell.low > _CLOSE_R else 2

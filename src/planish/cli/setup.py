@@ -143,7 +143,10 @@ def install_script(shell: str) -> list[str]:
 
 
 def _places(shell: str) -> tuple[Path, Path | None, str]:
-    """Where the script of a shell stands, the file that loads it, and by which line."""
+    """Where the script of a shell stands, the file that loads it, and by which line.
+
+    No such file, and an empty line, where the shell reads what lies in a folder.
+    """
     home = Path.home()
     if shell == "fish":  # reads what lies there
         config_folder = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")

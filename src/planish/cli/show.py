@@ -152,7 +152,10 @@ def exit_code(results: Results, *, strict: bool = False) -> int:
 
 
 def _properties(layer: LayerFacts) -> None:
-    """Print the distribution of each property, the uncovered areas, and how it was flattened."""
+    """Print the distribution of each property, the uncovered areas, and how it was flattened.
+
+    Nothing for a layer that is no sheet.
+    """
     sheet = layer.sheet
     if sheet is None:
         return
@@ -161,9 +164,9 @@ def _properties(layer: LayerFacts) -> None:
     for key, p in sheet.properties.items():
         labels[key] = key if p.trust == "ok" else f"{key} ({p.trust})"
         cov = None if p.coefficient_of_variation is None else 100 * p.coefficient_of_variation
-        figures = (number(p.mean, 2), number(p.sd, 2), number(cov, 1))
-        percentiles = (number(p.p5, 2), number(p.p95, 2), str(p.n))
-        rows.append((labels[key], p.units, *figures, *percentiles))
+        figures = [number(figure, 2) for figure in (p.mean, p.sd)]
+        percentiles = [number(figure, 2) for figure in (p.p5, p.p95)]
+        rows.append((labels[key], p.units, *figures, number(cov, 1), *percentiles, str(p.n)))
     headings = ("", "unit", "mean", "sd", "cov %", "p5", "p95", "columns")
     table(f"Properties of the {layer.name} along its normals", headings, rows)
     for key, (share, error) in sheet.uncovered_areas.items():
@@ -221,6 +224,7 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
     is_tested = not any(getattr(row, "same_quantity", True) for _, row in rows)
     headings = ["", "point um", "n", "n_eff", "r", "95 %", "rho", "r2"]
     headings += ["p (Holm)"] * is_tested + ["slope"] + ["marks um"] * has_marks
+    # Rows of a comparison of registrations have their marks' residual as well, and no p.
     cells: list[list[str]] = []
     for name, row in rows:
         label = name + " (negative control)" * getattr(row, "negative_control", False)
@@ -252,7 +256,11 @@ def run_facts(path: Path) -> Entries | None:
 
 
 def _facts_of(results: Entries, file_name: str) -> Entries:
-    """Facts of the results of a run, also of one by planish 0.1.0."""
+    """Facts of the results of a run, also of one by planish 0.1.0.
+
+    Besides its name, its files and its versions: how many checks there are, the names of those that
+    failed or ask for a look, and a warning where its results are of an older format.
+    """
     version = str(results["planish"])
     repeat_text = "'planish run' repeats it with this version."
     warning = None
@@ -263,6 +271,7 @@ def _facts_of(results: Entries, file_name: str) -> Entries:
         )
     elif results.get("format", 0) < FORMAT:
         warning = f"made by planish {version}: its results have an older format; {repeat_text}"
+    # As versions 0.1 called them.
     checks_key = next((key for key in ("gates", "quality") if key in results), "checks")
     checks: list[Entries] = results[checks_key]
     names: dict[str, list[str]] = {"fail": [], "look": []}

@@ -382,6 +382,7 @@ def report(run: Path, out: Path, figures: bool) -> None:
     from planish.run import open_run
 
     figures_folder = out.absolute().with_name(FIGURES) if figures else None
-    refuse_existing(*([figures_folder] if figures_folder else []))
+    if figures_folder is not None:
+        refuse_existing(figures_folder)
     write_report(out, open_run(run), figures=figures_folder)
     click.echo(str(out))

@@ -31,19 +31,21 @@ class TimeLeft:
         self, stages: Sequence[Stage], clock: Clock = time.monotonic, guess: float | None = None
     ) -> None:
         self._names = [name for name, _ in stages]
-        self._seconds = [seconds for _, seconds in stages]
+        self._seconds = [seconds for _, seconds in stages]  # expected
         self._clock = clock
         self._total = sum(self._seconds)
-        self._at = -1
-        self._share = 0.0
+        self._at = -1  # number of the stage
+        self._share = 0.0  # of its tiles that are done
         self._start = self._entered = clock()
+        # Seconds by the clock in which an expected one passes.
         self._rate = self._guess = slowness() if guess is None else guess
 
     def enter(self, name: str, share: float = 0.0) -> None:
-        """A stage begins, or so much of its tiles is done.
+        """A stage begins, or the ``share`` (0 to 1) of its tiles is done.
 
         Stages that were passed over take no time.
         """
+        # A name may stand for several stages: where it begins, for the next one of this name.
         first = max(self._at + (share == 0), 0)
         if name not in self._names[first:]:
             return
@@ -64,14 +66,17 @@ class TimeLeft:
         self._rate = self._rate_at(self._passed(), self._clock())
 
     def _rate_at(self, passed: float, now: float) -> float:
+        """Rate by the clock when so many of the expected seconds have passed."""
         # At first the guess counts more than the few seconds that passed.
         guessed = 0.05 * self._total
         return (now - self._start + guessed * self._guess) / (passed + guessed)
 
     def _passed(self) -> float:
+        """Expected seconds of what is done."""
         if self._at < 0:
             return 0.0
-        return sum(self._seconds[: self._at]) + self._share * self._seconds[self._at]
+        earlier = sum(self._seconds[: self._at])
+        return earlier + self._share * self._seconds[self._at]
 
     @property
     def seconds(self) -> float:
@@ -81,8 +86,9 @@ class TimeLeft:
         rate = self._rate
         now = self._clock()
         if self._at >= 0 and not self._share:  # no tiles say how far the stage is
-            passed += min((now - self._entered) / rate, 0.9 * self._seconds[self._at])
-            # a stage takes longer than expected.
+            most = 0.9 * self._seconds[self._at]  # before it is over
+            passed += min((now - self._entered) / rate, most)
+            # Where a stage takes longer than expected, what follows probably will, half as much.
             rate = max(rate, (rate + self._rate_at(passed, now)) / 2)
         return rate * max(total - passed, 0.0)
 
@@ -99,12 +105,12 @@ def expected_stages(study: Study) -> list[Stage]:
     The sizes are read from the headers of the files.
     """
     sizes = [_millions(layer) for layer in study.layers]
-    stages: list[Stage] = [
-        ("read", READ_SECONDS) for layer in study.layers if layer.kind != "volume"
-    ]
+    n_read = sum(layer.kind != "volume" for layer in study.layers)
+    stages: list[Stage] = [("read", READ_SECONDS)] * n_read
     for layer, millions in zip(study.layers, sizes, strict=True):
         if layer.kind == "volume":
             stages += _timed(SHEET_SECONDS, millions)
+    # Each layer is registered to the next one; the rest is done once, on the pixels of the last.
     if len(study.layers) > 1:
         for millions in sizes[1:-1]:
             stages.append(_timed(LINK_SECONDS, millions)[0])
@@ -119,7 +125,7 @@ def _timed(seconds: Seconds, millions: float) -> list[Stage]:
 def _millions(layer: GivenLayer) -> float:
     """Columns measured through the sheet of a volume, or pixels of an image, in millions.
 
-    1 where the file does not say.
+    A million where the file does not say.
     """
     from planish.io import describe  # here, so that help does not wait for it
 

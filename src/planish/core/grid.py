@@ -79,6 +79,13 @@ def pitch(data: xr.Dataset | xr.DataArray) -> Pair:
     return Grid.of(data).pixel_um
 
 
+def step_of(coordinates: Array) -> float:
+    """Distance of the first two of regular coordinates, with its sign; 1 of a single one."""
+    if coordinates.size > 1:
+        return float(coordinates[1] - coordinates[0])
+    return 1.0
+
+
 def shorter_side_um(shape: Sequence[int], pixel_um: Sequence[float]) -> float:
     """Length of the shorter side of so many pixels."""
     return min(n * step for n, step in zip(shape, pixel_um, strict=True))
@@ -185,7 +192,7 @@ def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
     ndarray of bool, shape of the grid
         True within a radius of a centre.
     """
-    inside = np.zeros(grid.shape, dtype=bool)
+    inside = np.zeros(grid.shape, bool)
     for (x, y), radius in zip(centres_um, radii_um, strict=True):
         rows = _within(grid.y_um, y, radius)
         cols = _within(grid.x_um, x, radius)

@@ -90,7 +90,7 @@ class LazyArray:
             is_whole = chosen.base is part and part.base is None and chosen.size == part.size
             if chosen.base is None or is_whole:
                 return np.ascontiguousarray(chosen, self.dtype)
-            return np.array(chosen, dtype=self.dtype)
+            return np.array(chosen, self.dtype)
 
 
 def _selected(key: Any, length: int) -> tuple[slice, slice | int]:

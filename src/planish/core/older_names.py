@@ -3,8 +3,6 @@
 Of results, studies and stores of maps alike; the changelog has the table.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Container
 from typing import Any

@@ -117,12 +117,15 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
             yield name, field, Shown(**extra["planish"] | {"flags": (flag,)})
 
 
-def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...]]:
+Paths = dict[str, tuple[str, ...]]  # by the word of an option: the names of the fields to it
+
+
+def words_in(model: type[Params], *outer_names: str) -> Paths:
     """Words of a call for the options of a model, and where each stands in it.
 
     The word is ``label_air`` for ``--label-air``.
     """
-    paths_by_word: dict[str, tuple[str, ...]] = {}
+    paths_by_word: Paths = {}
     for name, field, appearance in options_of(model):
         paths_by_word[appearance.flags[0][2:].replace("-", "_")] = (*outer_names, name)
         for inner_model in models_in(field.annotation):
@@ -131,9 +134,7 @@ def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...
     return paths_by_word
 
 
-def as_words(
-    paths_by_word: Mapping[str, tuple[str, ...]],
-) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
+def as_words(paths_by_word: Paths) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
     """Name the places of mistakes by the words of a call; as they are where none has them.
 
     What is returned takes the keys from the model to a value, and gives the name as a key of one
@@ -152,7 +153,7 @@ def as_words(
 
 
 def put_options(
-    tables: dict[str, Any], paths_by_word: Mapping[str, tuple[str, ...]], options: Mapping[str, Any]
+    tables: dict[str, Any], paths_by_word: Paths, options: Mapping[str, Any]
 ) -> list[str]:
     """Put options into the tables of a model where their words stand, others as they are.
 

@@ -24,9 +24,7 @@ def layer_over(
     ``W``, which may be 0, nor overflows in thick layers. Neither coefficient, s and k, is negative;
     the weight is finite, in units of one over theirs.
     """
-    below, s, k, w = (
-        np.asarray(a, dtype=np.float64) for a in (backing, scattering, absorption, weight)
-    )
+    below, s, k, w = (np.asarray(a, np.float64) for a in (backing, scattering, absorption, weight))
     rate = np.sqrt(k * (k + 2 * s))  # b s
     depth = rate * w
     thin = depth < 1e-8  # there tanh(x) / x is 1 to the last digit

@@ -23,7 +23,7 @@ def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> fl
     """
     finite = values[np.isfinite(values)]
     if finite.size == 0:
-        return float("nan")
+        return np.nan
     middle = np.median(finite) if centre is None else centre
     return MAD_TO_SD * float(np.median(np.abs(finite - middle)))
 
@@ -37,7 +37,7 @@ def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[fl
     """Percentiles of the finite values; NaN where there is none."""
     finite = values[np.isfinite(values)]
     if not finite.size:
-        return (float("nan"),) * len(percents)
+        return (np.nan,) * len(percents)
     return tuple(np.percentile(finite, percents).tolist())
 
 

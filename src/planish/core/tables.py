@@ -314,7 +314,7 @@ class CsvTable:
     def numbers(self, columns: Sequence[str]) -> Floats:
         """Give the finite numbers of several columns, shape (rows, columns)."""
         values = [self.number(row, column) for row in self.rows for column in columns]
-        return np.array(values, dtype=np.float64).reshape(-1, len(columns))
+        return np.array(values, np.float64).reshape(-1, len(columns))
 
     def fault(self, row: CsvRow, words: str) -> None:
         """Note a fault of a row."""
@@ -345,8 +345,7 @@ def parse_table(
     content = split_rows(text)
     if not content.rows:
         raise error(f"{name} is empty. {advice}")
-    possible = (*needed, *optional)
-    header, um = _columns_of(content.rows[0].cells, possible)
+    header, um = _columns_of(content.rows[0].cells, (*needed, *optional))
     faults = [*_header_faults(header, needed, advice), *content.faults]
     rows: list[CsvRow] = []
     widest = 0

@@ -39,7 +39,7 @@ class Similarity:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, ``(x, y)`` in um; NaN stays NaN."""
-        return np.asarray(points, dtype=np.float64) @ self.matrix().T + np.asarray(self.shift_um)
+        return np.asarray(points, np.float64) @ self.matrix().T + self.shift_um
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``.
@@ -100,7 +100,7 @@ class NearSimilarity(ABC):
 
     def matrix(self) -> Floats:
         """Return the 2 x 2 derivatives at the middle of the marks."""
-        return self.jacobian(np.array(self.source))
+        return self.jacobian(self.source)
 
     @property
     def similarity(self) -> Similarity:
@@ -143,8 +143,8 @@ class Affine(NearSimilarity):
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
-        offsets = np.asarray(points, dtype=np.float64) - self.source
-        return offsets @ self.matrix().T + np.asarray(self.target)
+        offsets = np.asarray(points, np.float64) - self.source
+        return offsets @ self.matrix().T + self.target
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
@@ -179,7 +179,7 @@ class Projective(NearSimilarity):
     def _projected(self, points: ArrayLike) -> tuple[Floats, Floats]:
         """Numerators (..., 2) and denominator (...)."""
         h = np.array(self.homography)
-        scaled = (np.asarray(points, dtype=np.float64) - self.source) / self.source_size
+        scaled = (np.asarray(points, np.float64) - self.source) / self.source_size
         denominators = scaled @ h[2, :2] + h[2, 2]
         numerators = scaled @ h[:2, :2].T + h[:2, 2]
         return numerators, np.where(denominators > 0, denominators, np.nan)
@@ -190,7 +190,7 @@ class Projective(NearSimilarity):
         NaN stays NaN, and is the image of what lies behind.
         """
         numerators, denominators = self._projected(points)
-        return numerators / denominators[..., None] * self.target_size + np.asarray(self.target)
+        return numerators / denominators[..., None] * self.target_size + self.target
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``.

@@ -3,8 +3,6 @@
 Programs write them in many ways; all of them are read here, for both containers alike.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ names of zarr, OME, kinds and labels of NRRD, the axes of MRC and TIFF. A file t
 taken as it is stored, slowest axis first: z, y, x. Names that are there are followed or refused.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import NamedTuple

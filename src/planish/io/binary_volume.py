@@ -94,11 +94,8 @@ def _affines(fields: Any) -> dict[str, Floats]:
     """Columns x, y, z of the affines that were written, by their name."""
     # Without a code none was written, and nibabel would make one up.
     getters = {"sform": fields.get_sform, "qform": fields.get_qform}
-    affines: dict[str, Floats] = {}
-    for name, get_affine in getters.items():
-        if int(fields[f"{name}_code"]) > 0:
-            affines[name] = np.asarray(get_affine(), np.float64)[:3, :3]
-    return affines
+    written = [name for name in getters if int(fields[f"{name}_code"]) > 0]
+    return {name: np.asarray(getters[name](), np.float64)[:3, :3] for name in written}
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:

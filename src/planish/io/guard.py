@@ -203,13 +203,12 @@ def _control_group_limit_bytes(
     A huge number if none.
     """
     limits = [2**62]
-    folders = ((groups_folder, False), (groups_folder / "memory", True))
-    for folder, is_version_1 in (
-        *folders,
-        *control_groups("memory", membership_file, groups_folder),
-    ):
+    folders = [(groups_folder, False), (groups_folder / "memory", True)]
+    folders += control_groups("memory", membership_file, groups_folder)
+    for folder, is_version_1 in folders:
         with suppress(OSError):
             name = "memory.limit_in_bytes" if is_version_1 else "memory.max"
             text = (folder / name).read_text(encoding="ascii", errors="replace").strip()
-            limits += [int(text)] if text.isdigit() else []
+            if text.isdigit():
+                limits.append(int(text))
     return min(limits)

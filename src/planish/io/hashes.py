@@ -162,7 +162,7 @@ def files_of(place: Place) -> list[Path]:
     if file_format is SLICES:
         return slice_files(path)
     if path.is_dir():
-        return [file for file in path.rglob("*") if file.is_file()]
+        return [*filter(Path.is_file, path.rglob("*"))]
     if file_format is TIFF:
         return [path]
     loaded = loader(file_format)(place, None, sys.maxsize)

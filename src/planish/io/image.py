@@ -216,7 +216,7 @@ def _of_colours(samples: Array, name: str) -> Singles:
 def _as_float32(values: Array) -> Singles:
     """Convert to a new float32 array in which everything that is no finite number is NaN."""
     with np.errstate(over="ignore"):
-        converted = np.array(values, dtype=np.float32)
+        converted = np.array(values, np.float32)
     if values.dtype.kind == "f":
         converted[~np.isfinite(converted)] = np.nan
     return converted

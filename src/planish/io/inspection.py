@@ -203,7 +203,7 @@ def middle_sections(values: Values) -> list[Section]:
     Or an image (y, x) itself.
     """
     if len(values.shape) == 2:
-        return [_section("y", "x", np.asarray(values), (1, 1))]
+        return [_section("y", "x", np.asarray(values))]
     depth, rows, cols = values.shape
     stride = -(-depth // 96)
     along_x: list[Array] = []
@@ -215,7 +215,7 @@ def middle_sections(values: Values) -> list[Section]:
     down_x = _section("z", "x", np.stack(along_x), (stride, 1))
     down_y = _section("z", "y", np.stack(along_y), (stride, 1))
     middle_plane = np.asarray(values[depth // 2])
-    return [down_x, down_y, _section("y", "x", middle_plane, (1, 1))]
+    return [down_x, down_y, _section("y", "x", middle_plane)]
 
 
 def best_section(sections: list[Section], through: str | None) -> Section:
@@ -275,7 +275,7 @@ def as_text(section: Section) -> list[str]:
     return [*lines, f"middle of the volume: {section.down} down, {section.across} across"]
 
 
-def _section(down: str, across: str, plane: Array, step: Shape2D) -> Section:
+def _section(down: str, across: str, plane: Array, step: Shape2D = (1, 1)) -> Section:
     """A section of at most about `_SIDE` steps, from the 1st to the 99th percentile of its grey.
 
     ``step``: voxels from one row, and one column, of the plane to the next. NaN becomes 0.

@@ -145,9 +145,7 @@ def correct_light(
     check_image(image, "pl.correct_light({}, white=white)")
     grey = np.asarray(image.values)
     sources = {"white": white} if dark is None else {"white": white, "dark": dark}
-    pictures: dict[str, Grey] = {}
-    for name, source in sources.items():
-        pictures[name] = np.array(values_of(source, name), np.float32)
+    pictures = {name: np.array(values_of(m, name), np.float32) for name, m in sources.items()}
     _check_pictures(grey, pictures)
     white_grey = pictures["white"]
     dark_grey = pictures.get("dark", np.zeros((2, 2), np.float32))
@@ -202,9 +200,7 @@ def correct_light(
     texture = 0.0
     if variance_of_image > 0:
         texture = contrast / variance_of_image * float(np.nanmedian(grey - zero)) ** 2
-    names: list[str] = []
-    for name, source in sources.items():
-        names.append(getattr(source, "attrs", {}).get("file_name", name))
+    names = (getattr(source, "attrs", {}).get("file_name", k) for k, source in sources.items())
     shares = np.bincount(status.ravel(), minlength=len(STATES)) / grey.size
     facts = LightFacts(
         files=tuple(names),

@@ -4,8 +4,6 @@ Values stay as they are stored. planish takes x to the right, y downwards and th
 numbered; a file that makes this a left-handed system holds a mirror image of the specimen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 

@@ -187,8 +187,7 @@ def is_mapped(path: Path) -> bool:
 
 def constant_zeros(shape: Sequence[int], dtype: DType) -> Array:
     """An array of any size in no memory; all its values are the same 0."""
-    zero = np.zeros((), dtype.newbyteorder("="))
-    return np.broadcast_to(zero, tuple(shape))
+    return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 
 
 def is_picture(series: TiffPageSeries) -> bool:

@@ -368,10 +368,8 @@ def check_extent(log: Log, shape: Shape) -> Texts:
     cannot be that of a part of it.
     """
     stated_shape = [log.count, *log.extent]
-    ratios: list[float] = []
-    for n_voxels, n_stated in zip(shape, stated_shape, strict=True):
-        if n_stated is not None:
-            ratios.append(n_stated / n_voxels)
+    lengths = zip(shape, stated_shape, strict=True)
+    ratios = [stated / n for n, stated in lengths if stated is not None]
     if set(ratios) <= {1.0}:
         return ()
     stated_text = " x ".join("?" if n is None else str(n) for n in stated_shape)

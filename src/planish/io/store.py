@@ -278,7 +278,7 @@ def halve(values: NDArray[Any]) -> NDArray[Any]:
     from planish.core._overview_kernels import halve_voxels
 
     half_shape = tuple(-(-n // 2) for n in values.shape)
-    out = np.empty(half_shape, dtype=values.dtype)
+    out = np.empty(half_shape, values.dtype)
     halve_voxels(values, out, values.dtype.kind in "ui")
     return out
 

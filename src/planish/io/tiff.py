@@ -403,8 +403,7 @@ def turn_white(values: Array, *, path: Path, bits: int, out: Array | None = None
             f"{path.name} stores white as 0 in {values.dtype} values, whose range is not defined. "
             "Export it with black as 0."
         )
-    white = values.dtype.type(2**bits - 1)
-    return np.subtract(white, values, out=out)
+    return np.subtract(values.dtype.type(2**bits - 1), values, out=out)
 
 
 def has_rgb(page: TiffPage) -> bool:

@@ -80,8 +80,7 @@ def linear_grey(values: Any, gamma: Gamma | None, full_scale: int | None) -> Any
     share = np.asarray(values, np.float32) / np.float32(full_scale)
     if gamma == "srgb":
         toe = share / np.float32(12.92)
-        curve = ((share + 0.055) / 1.055) ** 2.4
-        share = np.where(share <= 0.04045, toe, curve)
+        share = np.where(share <= 0.04045, toe, ((share + 0.055) / 1.055) ** 2.4)
     else:
         share = np.sign(share) * np.abs(share) ** gamma
     return share * np.float32(full_scale)

@@ -113,8 +113,7 @@ def read_topography(
         del reader, channel
         gc.collect()
     # The library has x first, as the sheet of a drawing; images have rows first.
-    filled = np.ma.filled(heights, np.nan)
-    values = np.ascontiguousarray(filled.T) * unit_length
+    values = np.ascontiguousarray(np.ma.filled(heights, np.nan).T) * unit_length
     values[~np.isfinite(values)] = np.nan
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")

@@ -127,10 +127,7 @@ def _said_at_import(group_attrs: Fields) -> tuple[dict[str, str], list[str]]:
     stated: Any = group_attrs.get("planish")
     if not isinstance(stated, dict):
         return {}, []
-    hand: dict[str, str] = {}
-    for key in ("hand", "turned"):
-        if isinstance(stated.get(key), str):
-            hand[key] = stated[key]
+    hand = {key: stated[key] for key in ("hand", "turned") if isinstance(stated.get(key), str)}
     notes: Any = stated.get("notes")
     if not isinstance(notes, list):
         return hand, []
@@ -235,8 +232,7 @@ def _level_of(path: Path, name: str) -> tuple[Fields | None, int, str]:
     if name and _metadata_files(path / parent):
         multiscale = _multiscale_of(_open_node(path, parent), path)
         if multiscale is not None:
-            paths = (str(level.get("path")) for level in multiscale["datasets"])
-            levels = [_part_of(path, level_path) for level_path in paths]
+            levels = [_part_of(path, str(level.get("path"))) for level in multiscale["datasets"]]
             if last in levels:
                 return multiscale, levels.index(last), name
     return None, 0, name

@@ -70,15 +70,18 @@ def packed(values: Array, *, bits: int = 8) -> Packed:
     0.05 % at an end would take a third of them, these are only known to lie beyond. Whole multiples
     of a step lose nothing if codes suffice.
     """
-    numbers = np.asarray(values, dtype=np.float64)
+    numbers = np.asarray(values, np.float64)
     finite = numbers[np.isfinite(numbers)]
     low, high = _range(finite)
+    # Code 0 is missing, 1 and the last are beyond the range on either side.
     last_code = 2**bits - 1
     spacing = _spacing(finite, last_code - 3)
     step = spacing or (high - low) / (last_code - 3)
     low = float(finite.min()) if spacing else low
-    clipped = np.clip(np.rint((numbers - low) / step), -1, last_code - 2) + 2
-    codes = np.where(np.isfinite(numbers), clipped, 0).astype(np.uint8 if bits == 8 else np.uint16)
+    nearest = np.rint((numbers - low) / step)
+    clipped = np.clip(nearest, -1, last_code - 2) + 2
+    dtype = np.uint8 if bits == 8 else np.uint16
+    codes = np.where(np.isfinite(numbers), clipped, 0).astype(dtype)
     deflated_by = {order: _deflated(codes, order) for order in (1, 2)}
     order = min(deflated_by, key=lambda order: len(deflated_by[order]))
     return Packed(
@@ -94,6 +97,7 @@ def packed(values: Array, *, bits: int = 8) -> Packed:
 
 
 def _range(finite: Floats) -> Pair:
+    """Smallest and largest value, or what all but few lie between; never the same number twice."""
     if not finite.size:
         return 0.0, 1.0
     minimum = float(finite.min())
@@ -128,6 +132,10 @@ def _spacing(finite: Floats, max_steps: int) -> float | None:
 
 
 def _deflated(codes: Codes, order: int) -> bytes:
+    """Differences of codes (rows, cols) along the rows, and with ``order`` 2 down the columns too.
+
+    Without sign they wrap around, which the sums of the script undo.
+    """
     row_differences = codes.copy()
     row_differences[:, 1:] -= codes[:, :-1]
     differences = row_differences.copy()
@@ -295,6 +303,10 @@ def _packed_maps(run: Run, map_names: MapNames, halvings: int) -> MapsOfPage:
 def _packed_map(
     data: xr.DataArray, valid_values: Floats, layer: LayerFacts, results: Results, group_index: int
 ) -> PageMap:
+    """Pack a map, with its colours, its title, and what the checks say of it.
+
+    ``valid_values`` are those that count; ``group_index`` is the number of the map's group.
+    """
     name = str(data.name)
     title = as_compared(title_of(data), name) if results.is_link else title_of(data)
     figure = POSITION if name == "expected_error" else name

@@ -39,7 +39,10 @@ def _text(path: str) -> str:
 def render(
     results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]
 ) -> str:
-    """Return the page as text; the same run gives the same bytes."""
+    """Return the page as text; the same run gives the same bytes.
+
+    A browser runs the style and the script whose hashes stand in the page's policy, and no others.
+    """
     style = template(_PACKAGE, "explore.css").render() + _text("static/views.css")
     # Views of the app, whose modules become one scope.
     modules = "".join(_text(f"static/{name}") for name in _OF_THE_APP)
@@ -90,6 +93,7 @@ def _data(
     blocks: list[dict[str, str]] = []
 
     def block(name: str, packed: Packed) -> Entries:
+        """Put packed data into a block of its own, and give what unpacks it."""
         blocks.append({"name": name, "text": packed.text})
         return packed.spec() | {"block": name}
 

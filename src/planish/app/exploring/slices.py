@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planish.app.exploring.maps import Packed, packed
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
+from planish.core.grid import step_of
 from planish.core.labelled import chunks_of, read_box
 from planish.core.memory import SLICES_VOXELS
 from planish.core.typing import Array, Entries, Ints, Texts
@@ -64,7 +65,10 @@ class Stack:
 def stack_of(
     run: Run, layer: LayerFacts, max_letters: int, compute: Compute, progress: Progress
 ) -> Stack | None:
-    """The slices of a sheet; None where the run that holds its surfaces is not there."""
+    """The slices of a sheet; None where the run that holds its surfaces is not there.
+
+    As many as fit into ``max_letters``: every second one is left out until they do.
+    """
     mapped = sheet_run(run, layer.name)
     sheet = None if mapped is None else sheet_facts(mapped)
     if mapped is None or sheet is None:
@@ -104,7 +108,7 @@ def _from_volume(
 ) -> tuple[xr.Dataset, xr.Dataset, int]:
     """Slices as the run keeps them, with the surfaces in their rows.
 
-    Also how many rows of voxels apart they are.
+    Also how many rows of voxels apart they are. ``scale`` is the grey that is black, and white.
     """
     try:
         params = volume_params(run, layer, progress)
@@ -121,7 +125,8 @@ def _from_volume(
     surfaces = run.groups["surfaces"]
     frame = Frame.of(surfaces)
     depth_um = volume.coords[frame.through].values
-    column_voxels = round(_pitch(surfaces["y"].values) / _pitch(volume.coords[frame.rows].values))
+    column_um = step_of(surfaces["y"].values)
+    column_voxels = round(column_um / step_of(volume.coords[frame.rows].values))
     n_rows = surfaces.sizes["y"]
     # Every second row, where there is room.
     step = max(math.ceil(2 / column_voxels), math.ceil(n_rows / _MAX_SLICES))
@@ -131,7 +136,7 @@ def _from_volume(
     voxel_rows = row_indices * column_voxels + column_voxels // 2
     col_step = math.ceil(volume.sizes[frame.cols] / _MAX_COLS)
     grey = _read_greys(volume, frame, voxel_rows, planes, col_step, scale, progress)
-    coords = {
+    coords = {  # in um
         "slice": volume.coords[frame.rows].values[voxel_rows],
         "height": depth_um[planes],
         "x": _means(volume.coords[frame.cols].values, col_step),
@@ -152,13 +157,11 @@ def _read_names(surfaces: xr.Dataset) -> list[str]:
     return [name for name, *_ in LINES if name in surfaces] + ["thickness"]
 
 
-def _pitch(coordinates: Array) -> float:
-    if coordinates.size > 1:
-        return float(coordinates[1] - coordinates[0])
-    return 1.0
-
-
 def _planes(surfaces: xr.Dataset, depth_um: Array) -> slice:
+    """Planes of voxels, at ``depth_um`` along the axis through the sheet, in which the sheet lies.
+
+    With a margin to either side; all where no surface was found.
+    """
     heights_um = surfaces.drop_vars("thickness").to_array().values
     heights_um = heights_um[np.isfinite(heights_um)]
     if not heights_um.size:
@@ -170,6 +173,7 @@ def _planes(surfaces: xr.Dataset, depth_um: Array) -> slice:
 
 
 def _margin_um(thickness_um: Array) -> float:
+    """Depth that is shown beside the sheet: 0.3 of its median thickness, at least 20 um."""
     finite = thickness_um[np.isfinite(thickness_um)]
     return max(0.3 * float(np.median(finite)) if finite.size else 0.0, 20.0)
 
@@ -183,9 +187,10 @@ def _read_greys(
     scale: Scale,
     progress: Progress,
 ) -> NDArray[np.uint8]:
-    """Read grey values (rows, depth, cols) in whole blocks along z.
+    """Read grey values (rows, depth, cols) in whole blocks along z, black to white in 8 bits.
 
-    Every ``col_step`` columns give their mean.
+    ``rows`` are evenly spaced rows of voxels, ``planes`` those through the sheet. Every
+    ``col_step`` columns give their mean.
     """
     shape = (rows.size, planes.stop - planes.start, volume.sizes[frame.cols] // col_step)
     greys = np.zeros(shape, np.uint8)
@@ -217,7 +222,11 @@ def _read_greys(
 
 
 def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> Iterator[slice]:
-    """Parts of the volume along z, so each plane of a file, or chunk of a store, is read once."""
+    """Parts of the volume along z, so each plane of a file, or chunk of a store, is read once.
+
+    Along z lie the rows, where the sheet's rows do, or the planes; of about `SLICES_VOXELS` voxels
+    that are read together, and of whole chunks.
+    """
     chunk_planes = chunks_of(volume)[0]
     n_planes = planes.stop - planes.start
     sizes = {frame.rows: rows.size, frame.cols: volume.sizes[frame.cols], frame.through: n_planes}
@@ -234,22 +243,26 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: Ints, planes: slice) -> It
 
 def _greys(values: Array, scale: Scale) -> NDArray[np.uint8]:
     """Grey values in 8 bits; what is missing is black."""
-    fraction = (np.asarray(values, dtype=np.float32) - scale.low) / (scale.high - scale.low)
+    fraction = (np.asarray(values, np.float32) - scale.low) / (scale.high - scale.low)
     shown = np.clip(np.nan_to_num(fraction, nan=0.0), 0, 1)
     return np.rint(255 * shown).astype(np.uint8)
 
 
 def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
-    """Cut every slice to the sheet in it, all to the same height, and pack it."""
+    """Cut every slice to the sheet in it, all to the same height, and pack it.
+
+    ``sheet`` is the name of its layer, ``note`` says which slices these are.
+    """
     x_um = slices[0].x
     heights_um = slices[0].heights
-    dx_um = _pitch(x_um)
-    dz_um = abs(_pitch(heights_um))
+    dx_um = step_of(x_um)
+    dz_um = abs(step_of(heights_um))
     thickness_um = np.stack([cut.lines["top"] - cut.lines["bottom"] for cut in slices])
     margin_um = _margin_um(np.abs(thickness_um))
     windows = [cut.window(float(x_um[0]), float(x_um[-1]), margin_um) for cut in slices]
     lows_um = np.array([low_um for *_, low_um, _ in windows])
     highs_um = np.array([high_um for *_, high_um in windows])
+    # Rows of voxels, the top first: as many as the deepest window needs, about each one's middle.
     n_rows = min(math.ceil((highs_um - lows_um).max() / dz_um) + 1, heights_um.size)
     first_rows = (heights_um[0] - (lows_um + highs_um) / 2) / dz_um - (n_rows - 1) / 2
     top_rows = np.clip(np.rint(first_rows).astype(int), 0, heights_um.size - n_rows)
@@ -257,7 +270,7 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     image_format, pictures = _pictures(greys)
     point_step = max(1, math.ceil(x_um.size / _MAX_POINTS))
     is_measured = np.stack([cut.used[::point_step] for cut in slices])
-    step_um = dz_um / 16
+    step_um = dz_um / 16  # to which heights are rounded: they pack well, and nobody sees it
     lines: dict[str, Packed] = {}
     for name, *_ in LINES:
         line_um = np.stack([cut.lines[name] for cut in slices])
@@ -292,6 +305,7 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
 
 
 def _pictures(greys: list[Array]) -> tuple[str, Texts]:
+    """Format of the pictures of slices, and each packed, in base64; high ones with fewer rows."""
     from PIL import Image, features
 
     image_format = "webp" if features.check("webp") else "jpeg"
