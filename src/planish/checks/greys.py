@@ -52,11 +52,14 @@ class SheetImage:
 
 
 def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
-    """Judge whether the grey scale ends where the sheet's densest layer lies."""
+    """Judge whether the grey scale ends where the sheet's densest layer lies.
+
+    Greys that were cut off pile up in a spike at that end. The end of the scale is harmless where
+    it lies farther from the air than the layer does, by more than the layer's own scatter.
+    """
     greys = scan.greys
     spike, spike_share, end_grey = clipping(scan.sample, greys)
-    coating_grey = denser_coating(greys)
-    layer, layer_grey = ("base", greys.base) if coating_grey is None else ("coating", coating_grey)
+    layer, layer_grey = densest_layer(greys)
     # So near to the layer's own level, a limit moves it.
     margin = greys.noise + 0.02 * abs(layer_grey - greys.air)
     is_inside = greys.polarity * (end_grey - layer_grey) < margin
@@ -80,21 +83,25 @@ def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
         "look",
         f"{crowd_text}, where the scale was cut off, and the {layer} lies at {layer_grey:.4g}: its"
         " contrast is too low, and its face is displaced.",
-        figures=(PROPERTIES,) if coating_grey is None else rule.figures,
+        figures=(PROPERTIES,) if layer == "base" else rule.figures,
         advice="Export the volume with a wider grey window, or as 16 bit.",
     )
 
 
-def denser_coating(greys: Greys) -> float | None:
-    """Level of the coating, of two the one farther from the base; None where there is none."""
+def densest_layer(greys: Greys) -> tuple[str, float]:
+    """Name and grey of the coating, of two the one farther from the base; of the base without."""
     levels = [greys.coating(side) for side in SIDES if greys.coated(side)]
-    return max(levels, key=lambda level: abs(level - greys.base), default=None)
+    if not levels:
+        return "base", greys.base
+    return "coating", max(levels, key=lambda level: abs(level - greys.base))
 
 
 def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
-    """Find a spike at the sheet's end of the grey scale.
+    """Find a spike at the sheet's end of the grey scale: where it is lightest, or darkest.
 
-    Gives its height over what bins beside it suggest, its share and its grey.
+    ``sample`` holds greys of any shape, NaN where there is none. Gives the number of voxels at the
+    end over what the histogram beside it leads to there (with its chance, so that right scans stay
+    below `SPIKE`), their share of all, and their grey; NaN for that without any grey.
     """
     # Whole numbers are counted once: a large part of a volume is looked at.
     is_integer = sample.dtype.kind != "f"
@@ -108,25 +115,32 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     end_grey = float(levels.max() if greys.polarity > 0 else levels.min())
     contrast = abs(end_grey - greys.air)
     width = contrast / 256
+    from_end = greys.polarity * (end_grey - levels.astype(np.float64))  # 0 at the end, else above
     if is_integer:  # a bin holds as many steps of the scale as any other
-        near_levels = levels[np.abs(levels.astype(np.float64) - end_grey) <= 0.25 * contrast]
-        step = float(np.diff(near_levels.astype(np.float64)).min()) if near_levels.size > 1 else 1.0
+        near_end = from_end[from_end <= 0.25 * contrast]
+        step = 1.0
+        if near_end.size > 1:
+            step = float(np.abs(np.diff(near_end)).min())
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
-    # Away from the end; half a step keeps rounding out of the places of the bins.
+    # A little keeps rounding out of the places of the bins.
     rounding = 1e-9 if is_integer else 1e-6
-    bins = np.floor(greys.polarity * (end_grey - levels.astype(np.float64)) / width + rounding)
+    bins = np.floor(from_end / width + rounding)
     is_near_end = bins <= _LAST_BIN
     near_bins = bins[is_near_end].astype(np.int64)
     histogram = np.bincount(near_bins, counts[is_near_end], _LAST_BIN + 1)
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as
     # the others.
-    end_count = float(histogram[0] if is_integer else np.count_nonzero(levels == end_grey))
+    end_count = float(histogram[0] if is_integer else np.count_nonzero(from_end == 0))
+    # A straight line through the logarithms of the other bins, carried on to the first; half a
+    # voxel more gives an empty bin a logarithm.
     other_counts = histogram[1:] + 0.5
     bin_numbers = np.arange(1.0, histogram.size)
-    line = np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))
-    expected = float(np.exp(line[1]))
-    spike = end_count / (expected + 3 * np.sqrt(expected) + 1)
-    return spike, end_count / int(counts.sum()), end_grey
+    weights = np.sqrt(other_counts)
+    _, log_expected = np.polyfit(bin_numbers, np.log(other_counts), 1, w=weights)
+    expected = float(np.exp(log_expected))
+    largest_by_chance = expected + 3 * np.sqrt(expected) + 1
+    end_share = end_count / int(counts.sum())
+    return end_count / largest_by_chance, end_share, end_grey
 
 
 def _levels(sample: Array) -> tuple[Array, Ints]:
@@ -141,13 +155,14 @@ def _levels(sample: Array) -> tuple[Array, Ints]:
 def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
     greys = scan.greys
-    coating_grey = denser_coating(greys)
-    contrast = abs((greys.base if coating_grey is None else coating_grey) - greys.air)
-    other_axes = (*scan.assembled_axes, scan.through)
-    jumps = {
-        axis: level_jump(w) / contrast for axis, w in scan.windows.items() if axis not in other_axes
-    }
-    axis, jump_share = max(jumps.items(), key=lambda jump: jump[1], default=("z", 0.0))
+    _, densest_grey = densest_layer(greys)
+    contrast = abs(densest_grey - greys.air)
+    jumps: dict[str, float] = {}  # in greys
+    for scanned_axis, window in scan.windows.items():
+        if scanned_axis not in (*scan.assembled_axes, scan.through):
+            jumps[scanned_axis] = level_jump(window)
+    axis = max(jumps, key=lambda name: jumps[name], default="z")
+    jump_share = jumps.get(axis, 0.0) / contrast
     return rule.at_most(
         jump_share,
         look=_JUMP,
@@ -160,12 +175,17 @@ def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
 
 
 def level_jump(window: Window) -> float:
-    """Standard deviation of what the levels of single slices jump by, in greys."""
+    """Standard deviation of what the levels of single slices jump by, in greys.
+
+    A jump of its own in each slice has second differences of sqrt(6) times its standard deviation,
+    and 1.4826 medians of their size are one. Levels are three percentiles: the largest counts.
+    """
     levels = np.percentile(window.blocks, (5.0, 50.0, 95.0), axis=(1, 2))
     if levels.shape[1] < 8:
         return 0.0
     second_differences = np.abs(np.diff(levels, n=2, axis=1))
-    return float(1.4826 / np.sqrt(6) * np.median(second_differences, axis=1).max())
+    largest_median = np.median(second_differences, axis=1).max()
+    return float(1.4826 / np.sqrt(6) * largest_median)
 
 
 def shading(rule: CheckRule, scan: GreyScan) -> Check:
@@ -192,16 +212,20 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     frame = Frame.of(scan.measured)
     changes: dict[str, tuple[float, float]] = {}  # along an axis, and how large it may be
     for axis, numbers in zip((frame.rows, frame.cols), scan.core.tiles, strict=True):
-        places, strip = np.unique(numbers[is_seen], return_inverse=True)
+        tile_numbers = numbers[is_seen]
+        places, strip = np.unique(tile_numbers, return_inverse=True)
         if places.size < 4:
             continue
-        fit = np.polynomial.Polynomial.fit(numbers[is_seen], tile_greys, 2)
-        change_share = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
+        parabola = np.polynomial.Polynomial.fit(tile_numbers, tile_greys, 2)
+        _, course = parabola.linspace(41)
+        change_share = float(np.ptp(course)) / contrast
         # Chance makes no range of a fitted parabola of 9 standard errors of a mean. Tiles beside
         # each other are of one floc: the strips across the axis show how far their greys go
         # together.
-        strip_means = np.bincount(strip, tile_greys - fit(numbers[is_seen])) / np.bincount(strip)
-        chance_share = 9.0 * float(np.std(strip_means)) / contrast / np.sqrt(strip_means.size)
+        rest = tile_greys - parabola(tile_numbers)
+        strip_means = np.bincount(strip, rest) / np.bincount(strip)
+        strip_sd = float(np.std(strip_means))
+        chance_share = 9.0 * strip_sd / contrast / np.sqrt(strip_means.size)
         changes[axis] = change_share, max(SHADED, chance_share)
     shaded_axis = max(changes, key=lambda axis: np.subtract(*changes[axis]), default="")
     grey_change, share_limit = changes.get(shaded_axis, (0.0, SHADED))
@@ -221,7 +245,9 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
 
 
 def _visible(grey: Array) -> Bools:
-    return np.any(np.isfinite(grey).all(axis=2), axis=1)
+    """Tell which tiles of greys (tiles, columns, depths) have a column that was read as a whole."""
+    is_whole = np.isfinite(grey).all(axis=2)
+    return np.any(is_whole, axis=1)
 
 
 def wall_grey(scan: GreyScan) -> float | None:
@@ -230,14 +256,21 @@ def wall_grey(scan: GreyScan) -> float | None:
     grey = scan.core_grey[_visible(scan.core_grey)]
     if not grey.size:
         return None
-    spread = np.sqrt(max(mad_sd(grey) ** 2 - greys.single_noise**2, 0.0))
+    variance = mad_sd(grey) ** 2 - greys.single_noise**2  # of walls and pores, without the noise
+    spread = np.sqrt(max(variance, 0.0))
     if not spread > POROUS * abs(greys.base - greys.air):
         return None
-    return float(np.nanquantile(grey, _WALL if greys.polarity > 0 else 1.0 - _WALL))
+    quantile = _WALL if greys.polarity > 0 else 1.0 - _WALL
+    return float(np.nanquantile(grey, quantile))
 
 
 def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
-    """Judge whether the grey of a wall is known that tells voids; None without maps of them."""
+    """Judge whether the grey of a wall is known that tells voids; None without maps of them.
+
+    The figures of the rule are the maps of voids. Where the user gave the grey (``solid_grey``),
+    there is nothing to doubt; else the sentence says what the porosity would be with the wall's
+    grey as the base of the scan shows it.
+    """
     greys, measured = scan.greys, scan.measured
     names = tuple(name for name in rule.figures if name in measured)
     if not names:
@@ -270,11 +303,10 @@ def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
 def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether what was learnt as a coating can be one; None where no side has a coating."""
     greys = scan.greys
-    contrasts: dict[Side, float] = {
-        side: greys.polarity * (greys.coating(side) - greys.base)
-        for side in SIDES
-        if greys.coated(side)
-    }
+    contrasts: dict[Side, float] = {}  # above zero where the coating is denser than the base
+    for side in SIDES:
+        if greys.coated(side):
+            contrasts[side] = greys.polarity * (greys.coating(side) - greys.base)
     if not contrasts:
         return None
     contrast_ratio = min(contrasts.values()) / max(contrasts.values())
@@ -298,7 +330,10 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
 def _coating_faults(
     scan: GreyScan, contrasts: dict[Side, float], contrast_ratio: float
 ) -> list[str]:
-    """What speaks against coatings of these contrasts to the base."""
+    """What speaks against coatings of these contrasts to the base, in sentences.
+
+    ``contrast_ratio`` is the lowest of them over the highest; 1 with one coating.
+    """
     greys = scan.greys
     sample = scan.sample[np.isfinite(scan.sample)]
     end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
@@ -317,8 +352,9 @@ def _coating_faults(
         sentences.append(
             f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
         )
+    attrs = scan.measured.attrs
     for side, contrast in contrasts.items():
-        change, error = scan.measured.attrs.get(f"coating_deepens_{side}", (0.0, 0.0))
+        change, error = attrs.get(f"coating_deepens_{side}", (0.0, 0.0))
         if abs(change) > max(_DEEPENS * contrast, 3.0 * error):
             kind = "denser" if change > 0 else "less dense"
             sentences.append(
@@ -332,7 +368,9 @@ def _coating_faults(
 def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether grains of filler are larger than the blur.
 
-    None where filler was not measured.
+    None where filler was not measured. A grain is a run of depths in a column of the base whose
+    grey lies beyond the level from which filler was counted; the median run is compared with the
+    full width at half maximum of the blur.
     """
     greys = scan.greys
     core = scan.core
@@ -341,9 +379,10 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     level = scan.measured["filler"].attrs.get("filler_grey")
     if level is None:
         level = 0.5 * (greys.base + np.nanmean([greys.coating_top, greys.coating_bottom]))
-    columns = (greys.polarity * (scan.core_grey - level) > 0)[core.is_base]
+    column_greys = scan.core_grey[core.is_base]  # (columns, depths)
+    is_filler = greys.polarity * (column_greys - level) > 0
     along_column = [[0, 0, 0], [1, 1, 1], [0, 0, 0]]
-    labels, _ = ndimage.label(columns, along_column)
+    labels, _ = ndimage.label(is_filler, along_column)
     sizes = np.bincount(labels.ravel())
     # What reaches the end of a column is coating that has run in.
     sizes[labels[:, [0, -1]]] = sizes[0] = 0
@@ -352,8 +391,9 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     sentence = "No grain of filler is seen in the base."
     if sizes.any():
         k = "zyx".index(scan.through)
-        depths = core.points.reshape(*core.shape, 3)[core.is_base][..., k]
-        length_um = scan.volume.attrs["voxel_um"][k] * np.mean(np.ptp(depths, axis=1))
+        points = core.points.reshape(*core.shape, 3)[core.is_base]
+        length_px = np.mean(np.ptp(points[..., k], axis=1))  # from the first depth to the last
+        length_um = scan.volume.attrs["voxel_um"][k] * length_px
         step_um = float(length_um / (core.shape[2] - 1))
         grain_um = step_um * float(np.median(sizes[sizes > 0]))
         sentence = (
@@ -429,14 +469,21 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.
     correlation = (lags - lags[-1]) / (lags[0] - lags[-1])
+    # Between the last lag above a half and the first below it.
     k = int(np.argmax(correlation < 0.5))
-    half_width_px = k - (0.5 - correlation[k]) / (correlation[k - 1] - correlation[k])
-    voxel_um = float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+    before, after = correlation[k - 1 : k + 1]
+    half_width_px = k - (0.5 - after) / (before - after)
+    sides_um = [float(v) for v in volume.attrs["voxel_um"]]
+    voxel_um = float(np.cbrt(np.prod(sides_um)))
+    # Its full width is twice the half; that of the Gaussian itself is by sqrt(2) narrower.
     return np.sqrt(2.0) * half_width_px * voxel_um
 
 
 def _mean_products(grey: Floats) -> Floats:
-    """Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet."""
+    """Mean products (lags) with the neighbours at 0, 1, 2 ... voxels along the axes of the sheet.
+
+    ``grey`` is (rows, cols, depth); both axes count alike, and the mean is taken off first.
+    """
     grey = grey - grey.mean()
     lags = np.zeros(_LAGS)
     for turned in (grey, grey.swapaxes(0, 1)):
@@ -448,14 +495,16 @@ def _mean_products(grey: Floats) -> Floats:
 def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
     """Yield the grey (rows, cols, depth) of blocks above and below the sheet.
 
-    There are four blocks along either axis of it.
+    There are four blocks along either axis of it. A block keeps `_GAP` voxels off the highest and
+    the lowest face within its rows and columns; none where a face lies too near to the end of the
+    volume, or the whole of it is smaller than a block.
     """
     frame = Frame.of(measured)
     axes = (frame.rows, frame.cols, frame.through)
     rows_um, cols_um, heights = (
         np.asarray(volume.coords[axis].values, dtype=np.float64) for axis in axes
     )
-    faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
+    faces = np.stack([measured[side].values for side in SIDES]).astype(np.float64)
     if min(rows_um.size, cols_um.size) < _EDGE:
         return
     for row, col in product(_spread_slices(rows_um.size), _spread_slices(cols_um.size)):
@@ -469,8 +518,9 @@ def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
         for start in (high + _GAP, low - _GAP - _DEPTH):
             if 0 <= start <= heights.size - _DEPTH:
                 depth = slice(start, start + _DEPTH)
-                block = volume.isel(dict(zip(axes, (row, col, depth), strict=True)))
-                yield np.array(block.transpose(*axes).values, dtype=np.float64)
+                box = dict(zip(axes, (row, col, depth), strict=True))
+                block = volume.isel(box).transpose(*axes)
+                yield np.array(block.values, dtype=np.float64)
 
 
 def _spread_slices(size: int) -> list[slice]:
@@ -480,6 +530,7 @@ def _spread_slices(size: int) -> list[slice]:
 
 
 def _within(places_um: Floats, block_um: Floats) -> Bools:
+    """Tell which places lie between the first and the last place of a block."""
     return (places_um >= block_um[0]) & (places_um <= block_um[-1])
 
 
@@ -487,7 +538,11 @@ def _within(places_um: Floats, block_um: Floats) -> Bools:
 
 
 def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
-    """Judge whether the greys of an image are cut off."""
+    """Judge whether the greys of an image are cut off.
+
+    They are where one end of its scale holds several times as many pixels as the next 64th of the
+    scale does.
+    """
     grey = np.asarray(image.greys, dtype=np.float64)
     grey = grey[np.isfinite(grey)]
     clipped_share = 0.0
@@ -497,8 +552,9 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
         highest = float(grey.max())
         near_width = 1 / 64 * (highest - lowest)  # counted as next to an end
         for end_tone, end_grey in (("dark", lowest), ("bright", highest)):
-            end_share = float(np.mean(grey == end_grey))
-            near_share = float(np.mean((grey != end_grey) & (np.abs(grey - end_grey) < near_width)))
+            from_end = np.abs(grey - end_grey)
+            end_share = float(np.mean(from_end == 0))
+            near_share = float(np.mean((from_end > 0) & (from_end < near_width)))
             if end_share > SPIKE * near_share and end_share > clipped_share:
                 clipped_share, tone = end_share, end_tone
     sentence = "The image's grey scale does not end within the sheet's greys."

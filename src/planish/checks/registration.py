@@ -133,6 +133,7 @@ def tilt(rule: CheckRule, registered: JudgedRegistration) -> Check | None:
     vectors = (hole_tilt.tilt_deg, hole_tilt.offset_um, hole_tilt.offset_error_um)
     lengths = (float(np.linalg.norm(np.array(v, dtype=np.float64))) for v in vectors)
     angle_deg, offset_um, offset_error_um = lengths
+    # The angle goes with the offset; that of its error along one direction.
     error_deg = offset_error_um * (angle_deg / max(offset_um, 1e-9) / np.sqrt(2))
     limit_deg = max(1.5, 4.0 * error_deg)  # of holes burnt from above
     end_text = ", all to one side" if angle_deg > limit_deg else " on average"
@@ -176,21 +177,26 @@ def machine_direction(rule: CheckRule, registered: JudgedRegistration) -> Check 
 def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     """Judge how many holes were found and what was rejected.
 
-    A look where places were not measured.
+    A look where places were not measured. The search left in the attributes how many places it did
+    not take, by the reason (``not_taken``), and how many openings as large as a hole are not round.
     """
-    attrs, hole_count = detected.holes.attrs, detected.holes.sizes["mark"]
+    attrs = detected.holes.attrs
+    hole_count = detected.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
-    rejected_texts = [
-        f"{rejected[name]} {reason_text}"
-        for name, reason_text in REASONS.items()
-        if rejected.get(name)
-    ]
-    rejected_text = f"; seen and not taken: {', '.join(rejected_texts)}" if rejected_texts else ""
-    sentence = f"{hole_count} {'hole' if hole_count == 1 else 'holes'} found{rejected_text}."
+    rejected_texts: list[str] = []
+    for name, reason_text in REASONS.items():
+        if rejected.get(name):
+            rejected_texts.append(f"{rejected[name]} {reason_text}")
+    noun = "hole" if hole_count == 1 else "holes"
+    sentence = f"{hole_count} {noun} found"
+    if rejected_texts:
+        sentence += f"; seen and not taken: {', '.join(rejected_texts)}"
+    sentence += "."
     n_not_measured = rejected.get("not_measured", 0)
     n_openings = int(attrs.get("openings", 0))
     # So many that are not round are no single holes that are half closed.
-    n_doubtful = n_openings if n_openings > max(1, 0.25 * (hole_count + n_openings)) else 0
+    n_usual = max(1, 0.25 * (hole_count + n_openings))
+    n_doubtful = n_openings if n_openings > n_usual else 0
     if n_openings == 1:
         sentence += " 1 opening as large as a hole is not round enough to be one."
     elif n_openings:
@@ -223,14 +229,13 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
     """Judge whether a layer and the reference have a field in common."""
     if layer.registration is None:
         return None
-    share, reference = layer.share_of_reference or 0.0, layer.registration.path[-1]
+    share = layer.share_of_reference or 0.0
+    reference = with_article(layer.registration.path[-1])
     return rule.at_least(
         share,
         look=0.05,
         units="share",
-        sentence=(
-            f"{100 * share:.1f} % of {with_article(reference)} shows {with_article(layer.name)}."
-        ),
+        sentence=f"{100 * share:.1f} % of {reference} shows {with_article(layer.name)}.",
         advice="Give the part of the reference that shows the specimen.",
     )
 
@@ -238,7 +243,9 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
 def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     """Judge the holes of a reference without a partner.
 
-    Either the sheet has a hole there, too, or it is not measured.
+    Either the sheet has a hole there, too, or it is not measured. Looked at is the middle of such
+    a hole, a circle of 0.35 of its diameter: the sheet is intact where more than 0.7 of its pixels
+    have a thickness.
     """
     grid = Grid.of(linked.sheet)
     thickness = linked.sheet["thickness"]
@@ -246,13 +253,14 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     is_unpaired = np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])
     unpaired = marks.isel(mark=np.flatnonzero(is_unpaired))
     whole_labels: list[str] = []
-    circles = zip(*(unpaired[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
-    for label, (x, y, diameter) in zip(unpaired["label"].values, circles, strict=True):
-        # The middle of a hole, where no sheet is.
+    columns = ("label", "fixed_x", "fixed_y", "fixed_diameter")
+    circles = zip(*(unpaired[column].values for column in columns), strict=True)
+    for label, x, y, diameter in circles:
         dy = grid.y_um - y
         dx = grid.x_um - x
         core_um = 0.35 * diameter
-        rows, cols = (np.flatnonzero(np.abs(offset) < core_um) for offset in (dy, dx))
+        rows = np.flatnonzero(np.abs(dy) < core_um)
+        cols = np.flatnonzero(np.abs(dx) < core_um)
         is_inside = np.hypot(dy[rows][:, None], dx[cols]) < core_um
         if not is_inside.any():
             continue

@@ -168,9 +168,8 @@ def check_scan(
     labels : bool; whether voxels are labels, which have no grey scale
     threads : int, optional; no result depends on it
     """
-    return tuple(
-        run_checks(read_scan(volume, measured, sections=sections, labels=labels, threads=threads))
-    )
+    scan = read_scan(volume, measured, sections=sections, labels=labels, threads=threads)
+    return tuple(run_checks(scan))
 
 
 def check_holes(holes: xr.Dataset) -> Check:
@@ -196,16 +195,20 @@ def apply_checks(results: Results) -> Results:
     if all(check.state in ("pass", "unknown") for check in checks):
         return results
     rows = rows_with_trust(results.correlations, checks)
-    layer_names = [layer.name for layer in results.layers]
     withheld_pairs = {_pair_of(row) for row in rows if row.trust == "withheld"}
-    layers = tuple(_layer_with_trust(layer, checks) for layer in results.layers)
-    comparison = tuple(
+    layers = [_layer_with_trust(layer, checks) for layer in results.layers]
+    layer_names = [layer.name for layer in layers]
+    comparison = [
         _marked(row, checks, layer_names, row.property, POSITION, CORRELATION)
         for row in results.comparison
-    )
-    evidence = tuple(e for e in results.evidence if _pair_of(e) not in withheld_pairs)
-    update = {"layers": layers, "correlations": rows, "comparison": comparison}
-    return results.model_copy(update=update | {"evidence": evidence})
+    ]
+    update = {
+        "layers": tuple(layers),
+        "correlations": rows,
+        "comparison": tuple(comparison),
+        "evidence": tuple(e for e in results.evidence if _pair_of(e) not in withheld_pairs),
+    }
+    return results.model_copy(update=update)
 
 
 def rows_with_trust(
@@ -230,6 +233,7 @@ def rows_with_trust(
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
+    """A layer whose properties and expected error are marked by the checks that concern them."""
     updates: dict[str, Any] = {}
     layers = (layer.name,)
     if (sheet := layer.sheet) is not None:
@@ -237,7 +241,8 @@ def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
         # The sheet's numbers are made of the maps.
         is_withheld = any(p.trust == "withheld" for p in properties.values())
         numbers = None if is_withheld else sheet.numbers
-        updates["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
+        sheet_updates = {"properties": properties, "numbers": numbers}
+        updates["sheet"] = sheet.model_copy(update=sheet_updates)
     r = layer.registration
     if r is not None and r.expected_error is not None:
         error = _marked(r.expected_error, checks, layers, POSITION)

@@ -59,7 +59,7 @@ def read_scan(
 ) -> ScannedSheet:
     """Read what the checks need, in one pass.
 
-    Parameters as of :func:`planish.checks.check_scan`.
+    Parameters as of :func:`planish.checks.check_scan`. A `GreyScan` unless the voxels are labels.
     """
     through = Frame.of(measured).through
     assembled_axes: tuple[Axis, ...] = ()
@@ -99,11 +99,12 @@ def read_scan(
 def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
     """Voxels through the sheet, along its normal."""
     frame = Frame.of(measured)
-    voxel_um = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
-    thickness_um = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
+    voxel_um = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
+    heights_um = np.abs(measured["top"].values - measured["bottom"].values)
+    thickness_um = float(np.nanmedian(heights_um))
     slopes = np.gradient(measured["centre"].values, *pitch(measured))
-    medians = [float(np.nanmedian(np.abs(slope))) for slope in slopes]
-    cosine = 1 / np.sqrt(1 + sum(median**2 for median in medians))
+    squares = [float(np.nanmedian(np.abs(slope))) ** 2 for slope in slopes]
+    cosine = 1 / np.sqrt(1 + sum(squares))
     # Along the normal, the voxel is as long as its sides let it be.
     side_um = max(voxel_um[frame.rows], voxel_um[frame.cols])
     normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * side_um
@@ -111,17 +112,26 @@ def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
 
 
 def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
-    """Choose voxels between the interfaces, or between the faces where a side has no coating."""
+    """Choose voxels between the interfaces, or between the faces where a side has no coating.
+
+    In chosen columns of each tile, so many depths are spread over the middle part of the base as
+    there are voxels in it, 9 at least and 48 at most; they come from the top to the bottom.
+    """
     frame = Frame.of(measured)
     high, low = (_base_end(measured, side) for side in ("top", "bottom"))
-    has_base = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
+    is_known = np.isfinite(high) & np.isfinite(low)
+    has_base = (measured["status"].values == 0) & is_known
     r, c, tiles = _tile_columns(has_base.shape, pitch(measured))
-    step_um = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
-    thickness = float(np.nanmedian(np.abs(high - low)[has_base])) if has_base.any() else 0.0
+    k_through = "zyx".index(frame.through)
+    step_um = float(volume.attrs["voxel_um"][k_through])
+    thickness = 0.0
+    if has_base.any():
+        thickness = float(np.nanmedian(np.abs(high - low)[has_base]))
     # Within 2.5 widths of the blur it mixes in what lies beside the base.
     blur_share = 2.5 * blur_reach_um(measured.attrs) / max(thickness, step_um)
-    margin = float(np.clip(blur_share, 0.2, 0.45))
-    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / step_um), 9, 48))
+    margin = float(np.clip(blur_share, 0.2, 0.45))  # share of the base left out at either end
+    n_voxels = np.ceil((1 - 2 * margin) * thickness / step_um)
+    depths = int(np.clip(n_voxels, 9, 48))
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
     dtype = np.int16 if max(volume.shape) < 2**15 else np.int32
@@ -129,7 +139,8 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     for dim, axis, columns in (("y", frame.rows, r), ("x", frame.cols, c)):
         axis_um = np.asarray(volume.coords[axis].values, dtype=np.float64)
         axis_step = axis_um[1] - axis_um[0] if axis_um.size > 1 else 1.0
-        voxel_indices = np.rint((measured[dim].values - axis_um[0]) / axis_step).astype(np.int32)
+        places = (measured[dim].values - axis_um[0]) / axis_step
+        voxel_indices = np.rint(places).astype(np.int32)
         points[..., "zyx".index(axis)] = voxel_indices[columns][..., None]
     is_base = has_base[r, c]
     high = high[r, c]
@@ -137,7 +148,7 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     for k, depth_share in enumerate(np.linspace(margin, 1 - margin, depths)):
         height = np.nan_to_num(high * (1 - depth_share) + low * depth_share)
         depth_index = np.rint((height - heights[0]) / step_um).astype(np.int32)
-        points[..., k, "zyx".index(frame.through)] = np.clip(depth_index, 0, heights.size - 1)
+        points[..., k, k_through] = np.clip(depth_index, 0, heights.size - 1)
     points[~is_base] = 0
     shape = (*r.shape, depths)
     return Core(points=points.reshape(-1, 3), shape=shape, is_base=is_base, tiles=tiles)
@@ -147,25 +158,32 @@ def _base_end(measured: xr.Dataset, side: str) -> Floats:
     """Give the height of the interface of a side; of its face where the interface is missing."""
     interface = measured[f"interface_{side}"].values.astype(np.float64)
     face = measured[side].values.astype(np.float64)
-    is_coated = np.isfinite(interface[measured["status"].values == 0]).any()
-    return np.where(np.isfinite(interface), interface, face) if is_coated else face
+    is_seen = np.isfinite(interface)
+    if not is_seen[measured["status"].values == 0].any():
+        return face
+    return np.where(is_seen, interface, face)
 
 
 def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints, tuple[Ints, Ints]]:
     """Choose tiles of the sheet and columns in each.
 
-    Gives row and column numbers, (tiles, columns), and those of tiles.
+    Gives row and column numbers, (tiles, columns), of the chosen columns on the grid of ``shape``,
+    and row and column numbers (tiles,) of the tiles themselves. A tile has up to 7 x 7 columns.
     """
     columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
     for n, step_um in zip(shape, pitch_um, strict=True):
         tile_edge = max(round(TILE_UM / step_um), 1)
-        offsets = np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp)
+        spread = np.linspace(0, tile_edge - 1, min(tile_edge, 7))
+        offsets = np.unique(spread.round().astype(np.intp))
         starts = np.arange(max(n // tile_edge, 1))[:, None] * tile_edge
-        columns.append(np.minimum(starts + np.unique(offsets), n - 1))
+        columns.append(np.minimum(starts + offsets, n - 1))
     rows, cols = columns
     row, col = np.divmod(np.arange(len(rows) * len(cols)), len(cols))
-    # Of a large sheet squares of tiles, so that what lies side by side is seen side by side.
-    is_chosen = (row // _SQUARE + col // _SQUARE) % -(-row.size // _TILES) == 0
+    # Of a large sheet squares of tiles, so that what lies side by side is seen side by side: one
+    # in so many that about `_TILES` are left.
+    one_in = -(-row.size // _TILES)
+    diagonal = row // _SQUARE + col // _SQUARE
+    is_chosen = diagonal % one_in == 0
     row, col = row[is_chosen], col[is_chosen]
     all_rows = np.repeat(rows[row], cols.shape[1], axis=1)
     all_cols = np.tile(cols[col], rows.shape[1])

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 
-from planish.checks.greys import denser_coating
+from planish.checks.greys import densest_layer
 from planish.checks.scan import TILE_UM, GreyScan, ScannedSheet
 from planish.core.checks import Check, CheckRule, State
 from planish.core.facts import SIDES, Side
@@ -54,9 +54,10 @@ def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     surfaces = sheet.facts.surfaces
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the
     # rest.
-    air_share = min(surfaces.empty_share or 0.0, surfaces.shares["no_sheet"])
-    rest_share = max(1.0 - surfaces.shares["rim"] - air_share, 1e-9)
-    measured_share = surfaces.shares["measured"] / rest_share
+    shares = surfaces.shares
+    air_share = min(surfaces.empty_share or 0.0, shares["no_sheet"])
+    rest_share = max(1.0 - shares["rim"] - air_share, 1e-9)
+    measured_share = shares["measured"] / rest_share
     return rule.at_least(
         measured_share,
         look=0.5,
@@ -90,19 +91,23 @@ def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     """Name film or tape beside the sheet: what was left out, and what touches and was measured.
 
-    None for neither.
+    None for neither. The search of the surfaces left both in the attributes: the thickness of what
+    covers a side, and what lies beside the sheet, with the gap between, in um.
     """
     attrs = sheet.measured.attrs
-    covers = {side: float(attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
-    covers_text = " and ".join(
-        f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um
-    )
-    if covers_text:
+    thicknesses_um: list[float] = []
+    cover_texts: list[str] = []
+    for side in SIDES:
+        um = float(attrs.get(f"cover_{side}_um", 0.0))
+        if um:
+            thicknesses_um.append(um)
+            cover_texts.append(f"on the {side} side some {um:.0f} um")
+    if cover_texts:
         return rule.check(
             "fail",
-            f"An even layer covers one of lighter grey, {covers_text} thick: tape, film or a mount"
-            " that touches.",
-            value=max(covers.values()),
+            f"An even layer covers one of lighter grey, {' and '.join(cover_texts)} thick: tape,"
+            " film or a mount that touches.",
+            value=max(thicknesses_um),
             limit=0.0,
             units="um",
             advice=(
@@ -142,14 +147,12 @@ def alignment(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     """Judge whether serial sections fit their neighbours."""
     if (sections := sheet.facts.sections) is None:
         return None
+    n_aligned = sections.count - sections.not_aligned
     return rule.at_most(
         sections.not_aligned / sections.count,
         look=0.05,
         units="share",
-        sentence=(
-            f"{sections.count - sections.not_aligned} of {sections.count} sections fit their"
-            " neighbours."
-        ),
+        sentence=f"{n_aligned} of {sections.count} sections fit their neighbours.",
         advice=(
             "The others are torn, blurred, or not of this sheet, and count as missing. Look at"
             " them, and at the order of the files."
@@ -161,6 +164,7 @@ def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     attrs = sheet.measured.attrs
     bridged_share = float(attrs.get("bridged_off_rims_share", 0.0))
+    stated_percent = 100 * (1 - bridged_share)
     end_text = "."
     if bridged_share > 0:
         end_text = ", and twice or four times as much in the alternatives."
@@ -169,7 +173,7 @@ def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
         look=0.02,
         sentence=(
             f"The centre surface has the stated cut-off of {float(attrs['cutoff_um']):g} um in"
-            f" {100 * (1 - bridged_share):.1f} % of the columns away from holes and rims{end_text}"
+            f" {stated_percent:.1f} % of the columns away from holes and rims{end_text}"
         ),
         remedy=(
             "Choose a longer `cutoff_um`, or a smaller `rim_um` if the rims take the sheet away."
@@ -187,13 +191,14 @@ def field_of_heights(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     if not nesting_um:
         return None
     is_known = np.isfinite(sheet.measured["topography_top"].values)
-    counts = [np.count_nonzero(is_known.any(axis=axis)) for axis in (1, 0)]
-    height_um, width_um = np.multiply(counts, pitch(sheet.measured))
+    n_rows, n_cols = (np.count_nonzero(is_known.any(axis=axis)) for axis in (1, 0))
+    row_um, col_um = pitch(sheet.measured)
+    height_um, width_um = n_rows * row_um, n_cols * col_um
     side_um = 2 * height_um * width_um / max(height_um + width_um, 1e-9)
-    large_um = {name: um for name, um in nesting_um.items() if side_um < _NO_LOSS_INDICES * um}
-    if not large_um:
+    wide_names = [name for name, um in nesting_um.items() if side_um < _NO_LOSS_INDICES * um]
+    if not wide_names:
         return None
-    index_um = max(large_um.values())
+    index_um = max(nesting_um.values())
     state: State = "pass"
     loss_text = "some 10 %"
     remedy = ""
@@ -215,7 +220,7 @@ def field_of_heights(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
             f" of the topography are too low, by {loss_text} as a rule."
         ),
         remedy=remedy,
-        figures=tuple(large_um),
+        figures=tuple(wide_names),
     )
 
 
@@ -230,15 +235,19 @@ def _nesting_um(facts: SheetFacts) -> dict[str, float]:
 
 
 def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
-    """Judge how much of the sheet was corrected by hand; None where nothing was."""
+    """Judge how much of the sheet was corrected by hand; None where nothing was.
+
+    Maps ``correction_top`` and ``correction_bottom`` hold 1 where a face was drawn to points and
+    follows an edge, 2 where there is none to follow.
+    """
     surfaces = sheet.measured
     if "corrections" not in surfaces.attrs:
         return None
     stretches = Corrections.model_validate_json(surfaces.attrs["corrections"]).stretches
     n_points = sum(len(stretch.points) for stretch in stretches)
     flags = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
-    n_measured = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
-    # The flags of the maps.
+    is_measured = surfaces["status"].values == Status.MEASURED
+    n_measured = max(int(np.count_nonzero(is_measured)), 1)
     n_drawn = int(np.count_nonzero(flags >= 1))
     n_interpolated = int(np.count_nonzero(flags >= 2))
     return rule.at_most(
@@ -259,7 +268,13 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 
 
 def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
-    """Judge whether a coating, or air, lies inside the base."""
+    """Judge whether a coating, or air, lies inside the base.
+
+    Both are looked for in the greys of the base's middle part (tiles, columns, depths): air where
+    the mean over a tile's columns is too near to the air's grey at some depth, a coating where
+    their median is too far beyond the base's. What is uncertain of a tile's own mean or median
+    does not count.
+    """
     greys = scan.greys
     core = scan.core
     profiles = scan.core_grey
@@ -285,24 +300,28 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     mean_grey = float(np.median(mean))
     contrast = mean_grey - greys.air
     doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
-    deficit = (np.copysign(1.0, contrast) * (mean_grey - mean) - doubt) / abs(contrast)
+    toward_air = np.copysign(1.0, contrast) * (mean_grey - mean)
+    deficit = (toward_air - doubt) / abs(contrast)  # 1 is air
     is_dark = deficit.max(axis=1) > 0.4
+    # The tiles on their places in the sheet, to count those that lie side by side.
     dark_tiles = np.zeros([numbers.max() + 1 for numbers in core.tiles], bool)
     row, col = (numbers[is_seen][is_dark] for numbers in core.tiles)
     dark_tiles[row, col] = True
     side_by_side, _ = ndimage.label(dark_tiles)
-    n_dark = int(np.bincount(side_by_side[dark_tiles]).max(initial=0))
+    tiles_of_each = np.bincount(side_by_side[dark_tiles])
+    n_dark = int(tiles_of_each.max(initial=0))
     median_profiles = np.nanmedian(profiles, axis=1)
     # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation,
     # 1.253 of the median.
     profiles -= median_profiles[:, None]
-    uncertainty = 3.0 * 1.86 * np.nanmedian(np.abs(profiles, out=profiles), axis=1) / root_n
+    deviations = np.abs(profiles, out=profiles)
+    uncertainty = 3.0 * 1.86 * np.nanmedian(deviations, axis=1) / root_n
     median = median_profiles.astype(np.float64)
     base_grey = float(np.median(median))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is lighter is
     # then told by the air.
-    coating_grey = denser_coating(greys)
-    if coating_grey is None:
+    layer, coating_grey = densest_layer(greys)
+    if layer == "base":
         coating_grey = 2 * base_grey - greys.air
     excess = (median - base_grey - uncertainty) / (coating_grey - base_grey)
     bright_share = float(np.mean(excess.max(axis=1) > 0.5))
@@ -335,15 +354,14 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
 
 def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
-    is_thin = scan.voxel_count < _LEAST_VOXELS
-    thinner_text = (
-        " It may be thinner: sheets of 2 or 3 voxels are measured too thick." if is_thin else ""
-    )
+    sentence = f"The sheet is {scan.voxel_count:.1f} voxels thick."
+    if scan.voxel_count < _LEAST_VOXELS:
+        sentence += " It may be thinner: sheets of 2 or 3 voxels are measured too thick."
     return rule.at_least(
         scan.voxel_count,
         look=_LEAST_VOXELS,
         units="voxels",
-        sentence=f"The sheet is {scan.voxel_count:.1f} voxels thick.{thinner_text}",
+        sentence=sentence,
         advice=(
             "Scan with smaller voxels: five through the sheet are needed, and two through a"
             " coating."
@@ -354,7 +372,7 @@ def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
 def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
     """Judge the particles on a side, which are measured as coating.
 
-    None where no coating was measured.
+    None where no coating was measured, or on less than `_LEAST_MM2`.
     """
     measured = scan.measured
     name = f"coating_{side}"
@@ -393,36 +411,45 @@ def find_particles(coating: Floats, face: Floats, pitch_um: Pair) -> Particles:
     """Find the particles that stand out of a map of a coating and of its face, (rows, cols) in um.
 
     ``face`` is the distance of the face from the centre surface: a coating that fills a valley is
-    thick, but level.
+    thick, but level. A particle is thicker than what lies around it by 5 standard deviations of
+    all such differences, sticks out by half of that, and covers 400 um2 at least.
     """
     cell_um2 = pitch_um[0] * pitch_um[1]
     area_mm2 = np.count_nonzero(np.isfinite(coating)) * cell_um2 * 1e-6
     if area_mm2 < _LEAST_MM2:
         return Particles(np.zeros(coating.shape, bool), 0, 0.0, area_mm2)
-    excess, face_excess = (values - _median_around(values, pitch_um) for values in (coating, face))
+    excess = coating - _median_around(coating, pitch_um)
+    face_excess = face - _median_around(face, pitch_um)
     limit = 5.0 * max(mad_sd(excess), 1e-6)
-    labels, n = ndimage.label((excess > limit) & (face_excess > 0.5 * excess))
-    is_large = np.bincount(labels.ravel(), minlength=n + 1) * cell_um2 >= 400.0  # um2
-    is_large[0] = False
+    is_particle = (excess > limit) & (face_excess > 0.5 * excess)
+    labels, n = ndimage.label(is_particle)
+    areas_um2 = np.bincount(labels.ravel(), minlength=n + 1) * cell_um2
+    is_large = areas_um2 >= 400.0
+    is_large[0] = False  # what lies between particles
     count = int(is_large.sum())
     return Particles(is_large[labels], count, count / area_mm2, area_mm2)
 
 
 def _median_around(coating: Floats, pitch_um: Pair) -> Floats:
-    """Median of 300 um around every column, from medians of cells of a tenth."""
-    edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
+    """Median of 300 um around every column, from medians of cells of a tenth.
+
+    A cell without any value has the median of all; where there is none at all, the map is 0. What
+    is left over beside whole cells, at the far ends, has the value of the last ones.
+    """
+    edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]  # of a cell, in columns
     rows, cols = coating.shape
     height = min(edges[0], rows)
     width = min(edges[1], cols)
-    shape = (rows // height, cols // width)
-    cropped = coating[: shape[0] * height, : shape[1] * width]
-    by_cell = cropped.reshape(shape[0], height, shape[1], width).swapaxes(1, 2)
-    cells = by_cell.reshape(*shape, -1)
-    medians = np.full(shape, np.nan)
+    n_rows, n_cols = rows // height, cols // width
+    cropped = coating[: n_rows * height, : n_cols * width]
+    by_cell = cropped.reshape(n_rows, height, n_cols, width).swapaxes(1, 2)
+    cells = by_cell.reshape(n_rows, n_cols, -1)
+    medians = np.full((n_rows, n_cols), np.nan)
     is_measured = np.isfinite(cells).any(axis=2)
     medians[is_measured] = np.nanmedian(cells[is_measured], axis=1)
     medians[~is_measured] = np.nanmedian(medians) if is_measured.any() else 0.0
     coarse = ndimage.median_filter(medians, size=_COARSE, mode="nearest")
+    # Columns count from the middle of the first cell, in cells.
     row_places = (np.arange(rows) + 0.5) / edges[0] - 0.5
     col_places = (np.arange(cols) + 0.5) / edges[1] - 0.5
     places = np.meshgrid(row_places, col_places, indexing="ij")

@@ -118,9 +118,10 @@ class Fault:
     def sources(self) -> str:
         """Name the slices that these repeat."""
         # Slices that all repeat one slice have no room for as many others.
-        if self.other is None or self.first == self.last or self.first - self.other < self.count:
-            return f"{self.other}"
-        return f"{self.other}-{self.other + self.count - 1}"
+        other = self.other
+        if other is None or self.count == 1 or self.first - other < self.count:
+            return f"{other}"
+        return f"{other}-{other + self.count - 1}"
 
     @property
     def missing(self) -> str:
@@ -128,7 +129,9 @@ class Fault:
         if math.isnan(self.steps):
             return "several slices were"
         count = max(round(self.steps), 1)
-        return f"some {count} {'slice was' if count == 1 else 'slices were'}"
+        if count == 1:
+            return "some 1 slice was"
+        return f"some {count} slices were"
 
     def shifted(self, n: int) -> Fault:
         """Return the same fault where slices are counted from ``n`` slices before."""
@@ -140,11 +143,13 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     """Judge the slices along an axis.
 
     ``fail`` where out of order, ``look`` where repeated, filled, foreign, empty or missing; the
-    value counts these.
+    value counts these. Of slices out of order the sentence names these faults alone, since others
+    may come from them. Along the axis through the sheet brightness changes with the sheet itself.
     """
     window = scan.windows[axis]
     is_through = axis == scan.through
-    faults = find_faults(window, assembled=axis in scan.assembled_axes, levelled=not is_through)
+    is_assembled = axis in scan.assembled_axes
+    faults = find_faults(window, assembled=is_assembled, levelled=not is_through)
     n_wrong = float(sum(f.count for f in faults))
     make_check = functools.partial(rule.check, value=n_wrong, limit=0.0, units="slices")
     if not faults:
@@ -157,25 +162,25 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     listed_faults = order_faults or faults
     kinds: list[Kind] = [f.kind for f in listed_faults]
     commonest_kind = max(dict.fromkeys(kinds), key=kinds.count)
-    figures = (CORRELATION, POSITION, PROPERTIES)
+    wrong_figures = {POSITION, PROPERTIES}
     # Heights that are wrong displace on every slope.
     if not order_faults and not is_through:
         wrong_figures = {POSITION if kind in _DISPLACING else PROPERTIES for kind in kinds}
-        figures = (CORRELATION, *sorted(wrong_figures))
     return make_check(
         "fail" if order_faults else "look",
         _sentence(listed_faults, len(faults), axis),
         advice=_ADVICE[commonest_kind],
-        figures=figures,
+        figures=(CORRELATION, *sorted(wrong_figures)),
     )
 
 
 def _sentence(listed_faults: list[Fault], fault_count: int, axis: Axis) -> str:
     """Name the first four of the faults, and count the others."""
     sentences = [_fault_sentence(f, axis) for f in listed_faults[:4]]
-    if len(listed_faults) > 4:
-        sentences.append(f"{len(listed_faults) - 4} more such places.")
-    n_unlisted = fault_count - len(listed_faults)
+    n_listed = len(listed_faults)
+    if n_listed > 4:
+        sentences.append(f"{n_listed - 4} more such places.")
+    n_unlisted = fault_count - n_listed
     if n_unlisted:
         noun = "fault" if n_unlisted == 1 else "faults"
         sentences.append(f"{n_unlisted} other {noun} along the same axis.")
@@ -183,8 +188,10 @@ def _sentence(listed_faults: list[Fault], fault_count: int, axis: Axis) -> str:
 
 
 def _fault_sentence(f: Fault, axis: Axis) -> str:
-    texts = _SENTENCES[f.kind]
-    template = texts[-1] if f.last > f.first else texts[0]
+    of_one, *of_several = _SENTENCES[f.kind]
+    template = of_one
+    if of_several and f.last > f.first:
+        template = of_several[0]
     return template.format(f=f, axis=axis)
 
 
@@ -200,21 +207,25 @@ def find_faults(window: Window, *, assembled: bool, levelled: bool) -> list[Faul
     slice_sd = np.array([row.std(dtype=np.float64) for row in window.blocks])
     if not slice_sd.any():
         return []
-    is_visible = slice_sd > _EMPTY * float(np.median(slice_sd[slice_sd > 0]))
-    visible_slices = np.flatnonzero(is_visible)
-    if visible_slices.size < 8:
+    usual_sd = float(np.median(slice_sd[slice_sd > 0]))
+    is_visible = slice_sd > _EMPTY * usual_sd
+    visible_slices = np.flatnonzero(is_visible).tolist()
+    if len(visible_slices) < 8:
         return []
-    first = int(visible_slices[0])
-    shown = slice(first, int(visible_slices[-1]) + 1)
+    first = visible_slices[0]
+    shown = slice(first, visible_slices[-1] + 1)
     if levelled and not assembled:
         levelled = level_jump(window) > _GAINS * float(np.median(slice_sd))
     stack = _Stack(window, shown, is_visible[shown], slice_sd[shown], levelled=levelled)
     if np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
     _search(stack, _OF_ASSEMBLED if assembled else _OF_SCANS)
-    # Between sections there are gaps, which are known.
-    faults = [f for f in stack.faults if not (assembled and f.kind == "jump")]
-    return sorted([f.shifted(window.first + first) for f in faults], key=lambda f: f.first)
+    faults: list[Fault] = []
+    for fault in stack.faults:
+        if assembled and fault.kind == "jump":
+            continue  # between sections there are gaps, which are known
+        faults.append(fault.shifted(window.first + first))
+    return sorted(faults, key=lambda f: f.first)
 
 
 class _Stack:
@@ -223,13 +234,21 @@ class _Stack:
     def __init__(
         self, window: Window, shown: slice, is_visible: Bools, slice_sd: Floats, *, levelled: bool
     ) -> None:
-        """Work out how the slices ``shown`` differ; the arrays are theirs."""
+        """Work out how the slices ``shown`` differ.
+
+        ``is_visible`` and ``slice_sd`` (slices,) tell of each whether it shows anything, and how
+        much its greys scatter. Differences are mean squares: ``d1`` (slices - 1,) of neighbours,
+        ``d2`` (slices - 2,) of those with one slice between, both over blocks; ``square`` is
+        ``d1`` and ``bend`` (slices - 2,) that of a slice from the mean of its neighbours, both
+        over voxels, which tell a copy from what is only alike.
+        """
         self.stored: Array = window.blocks[shown]  # (slices, rows, cols)
         slices = _levelled(self.stored, slice_sd) if levelled else self.stored
         self.s = _fine_structure(slices)
         self.d1 = _differences(self.s, 1)
         self.d2 = _differences(self.s, 2)
         # Means over voxels: within a block a gain changes next to nothing of how slices differ.
+        # What the levelling changes of the blocks is changed of them, too.
         square = window.square[shown.start : shown.stop - 1]
         product = window.product[shown.start : shown.stop - 2]
         self.square = square + self.d1 - _differences(self.stored, 1)
@@ -251,14 +270,18 @@ class _Stack:
 
     def scatter(self, k: Ints) -> Floats:
         """Relative standard error of ``d1`` at ``k``."""
-        steps = (np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) for i in k)
-        fourth = np.array([_square(step**2, 0.0) for step in steps])
-        excess = fourth / np.maximum(self.d1[k] ** 2, _TINY) - 1
+        fourth_powers: list[float] = []
+        for i in k:
+            step = np.subtract(self.s[i + 1], self.s[i], dtype=np.float64)
+            fourth_powers.append(_square(step**2, 0.0))
+        squares = np.maximum(self.d1[k] ** 2, _TINY)
+        excess = np.array(fourth_powers) / squares - 1
         return np.sqrt(np.maximum(excess, 0) / self.s[0].size)
 
     def all_good(self, k: Ints, last: int) -> Bools:
         """Tell for each ``k`` if slices ``k - 1`` to ``k + last`` are all good."""
-        return np.logical_and.reduce([self.is_good[k + i] for i in range(-1, last + 1)])
+        are_good = [self.is_good[k + i] for i in range(-1, last + 1)]
+        return np.logical_and.reduce(are_good)
 
 
 def _fine_structure(slices: Array) -> Array:
@@ -272,8 +295,9 @@ def _fine_structure(slices: Array) -> Array:
 
 def _levelled(stored: Array, slice_sd: Floats) -> NDArray[np.float32]:
     """Bring each slice to the contrast of its neighbourhood."""
-    gain = _around(slice_sd) / np.maximum(slice_sd, _EMPTY * np.median(slice_sd))
-    return stored * gain.astype(np.float32)[:, np.newaxis, np.newaxis]
+    known_sd = np.maximum(slice_sd, _EMPTY * np.median(slice_sd))
+    gain = (_around(slice_sd) / known_sd).astype(np.float32)
+    return stored * gain[:, np.newaxis, np.newaxis]
 
 
 def _around(values: Floats) -> Floats:
@@ -283,11 +307,13 @@ def _around(values: Floats) -> Floats:
 
 
 def _bends(s: Array) -> Floats:
+    """Mean squared difference of each inner slice from the mean of its neighbours."""
     means = (0.5 * (before + after) for before, after in zip(s, s[2:], strict=False))
     return np.array([*map(_square, means, s[1:])])
 
 
 def _differences(s: Array, lag: int) -> Floats:
+    """Mean squared difference of each slice from that which lies ``lag`` slices behind it."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
     return np.array([*map(_square, s[lag:], s[:-lag])])
 
@@ -303,6 +329,7 @@ def _log(differences: Floats) -> Floats:
 
 
 def _empty(t: _Stack) -> Iterator[Fault]:
+    """Slices that show nothing, between such that show the body."""
     # The first and the last slice of a stack show something.
     edges = np.flatnonzero(np.diff(t.is_visible)) + 1
     usual = _FULL * float(np.median(t.slice_sd))
@@ -314,36 +341,42 @@ def _empty(t: _Stack) -> Iterator[Fault]:
 def _foreign(t: _Stack) -> Iterator[Fault]:
     """Slices that differ from both neighbours by more than these from each other.
 
-    Each may be a copy of another slice, fit elsewhere, or be of another body.
+    Each may be a copy of another slice (``repeated``), fit elsewhere (``moved``; ``other`` is the
+    slice that is most like it), or be of another body. Of two copies, one is named.
     """
     indices = np.arange(1, t.d1.size)
     smaller = np.minimum(t.d1[:-1], t.d1[1:])
     ratio = smaller / np.maximum(t.d2, _TINY)
+    is_odd = (ratio > FOREIGN) & t.all_good(indices, 1)
     copied: set[int] = set()
-    for k in indices[(ratio > FOREIGN) & t.all_good(indices, 1)].tolist():
+    for k in indices[is_odd].tolist():
         differences = t.differences_from(k)
         differences[max(k - 2, 0) : k + 3] = np.inf
         nearest = int(differences.argmin())
         is_copy = np.array_equal(t.stored[k], t.stored[nearest])
         if is_copy and nearest in copied:
             continue
-        kind: Kind = "foreign"
-        if is_copy:
-            kind = "repeated"
-        elif differences[nearest] < _FITS * t.usual_difference(nearest):
-            kind = "moved"
         copied.add(k)
-        yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else nearest)
+        if is_copy:
+            yield Fault(kind="repeated", first=k, last=k, other=nearest)
+        elif differences[nearest] < _FITS * t.usual_difference(nearest):
+            yield Fault(kind="moved", first=k, last=k, other=nearest)
+        else:
+            yield Fault(kind="foreign", first=k, last=k)
 
 
 def _copies(t: _Stack) -> Iterator[Fault]:
     """Slices of which every block mean is that of an earlier one.
 
-    Neighbours at the same distance are one fault.
+    Neighbours at the same distance are one fault. Slices that were found to be copies before, and
+    what they repeat, are left alone.
     """
-    copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
-    first_indices: dict[bytes, int] = {}
-    sources: dict[int, int] = {}
+    copied: set[int | None] = set()
+    for fault in t.faults:
+        if fault.kind == "repeated":
+            copied |= {fault.first, fault.other}
+    first_indices: dict[bytes, int] = {}  # of the first slice with such bytes
+    sources: dict[int, int] = {}  # of a copy: the first slice that it repeats
     for k in np.flatnonzero(t.is_visible).tolist():
         if k not in copied:
             source = first_indices.setdefault(t.stored[k].tobytes(), k)
@@ -361,29 +394,37 @@ def _copies(t: _Stack) -> Iterator[Fault]:
 
 
 def _exchanged(t: _Stack) -> Iterator[Fault]:
-    """Pairs of neighbours that fit better the other way round."""
+    """Pairs of neighbours that fit better the other way round.
+
+    Slices k and k + 1 are exchanged where each differs more from its neighbour beyond the pair
+    than the other one does from that: `EXCHANGED` times, and more than chance makes.
+    """
     k = np.arange(1, t.d1.size - 1)
     crossed = np.maximum(t.d2[:-1], t.d2[1:])
     smaller = np.minimum(t.d1[:-2], t.d1[2:])
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
-    is_exchanged = smaller / np.maximum(crossed, _TINY) > limit
+    ratio = smaller / np.maximum(crossed, _TINY)
+    is_exchanged = ratio > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
     d3 = _differences(t.s, 3)
     largest = np.max([t.d1[:-2], t.d1[2:], d3], axis=0)
     pairs = np.flatnonzero(t.d1[1:-1] > limit * largest)
-    pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
+    beside = np.concatenate([pairs - 2, pairs + 2])
+    pairs = pairs[np.isin(pairs, beside)]
     is_exchanged |= np.isin(k, pairs) | np.isin(k, pairs + 2)
+    is_exchanged &= t.all_good(k, 2)
     last = -1
-    for first in k[is_exchanged & t.all_good(k, 2)].tolist():
+    for first in k[is_exchanged].tolist():
         if first > last:
             last = first + 1
             yield Fault(kind="exchanged", first=first, last=last)
 
 
 def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
-    """Runs of a curve that lie by ``depth`` below their neighbours and the median around.
+    """Runs (first, last) of a curve that lie by ``depth`` below their neighbours and the median.
 
-    Each is of so many slices.
+    The curve (m,) is of statistics that ``slices`` slices make each: all of those of a run and of
+    its neighbours have to be good. The median is that of 12 values on either side.
     """
     dips: list[tuple[int, int]] = []
     k = 1
@@ -392,8 +433,9 @@ def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tupl
             limit = curve[k : last + 1].max() + depth
             if min(curve[k - 1], curve[last + 1]) <= limit:
                 continue
-            is_dip = np.median(curve[max(k - 12, 0) : last + 13]) > limit
-            if is_dip and is_good[k - 1 : last + 1 + slices].all():
+            around = curve[max(k - 12, 0) : last + 13]
+            all_good = is_good[k - 1 : last + 1 + slices].all()
+            if all_good and np.median(around) > limit:
                 dips.append((k, last))
                 k = last
                 break
@@ -402,6 +444,7 @@ def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tupl
 
 
 def _near_copies(t: _Stack) -> Iterator[Fault]:
+    """Slices that differ so little from the one before as only a copy of it does."""
     for a, b in _dips(_log(t.square), t.is_good, 2, ALIKE):
         yield Fault(kind="repeated", first=a + 1, last=b + 1, other=a)
 
@@ -409,8 +452,9 @@ def _near_copies(t: _Stack) -> Iterator[Fault]:
 def _filled(t: _Stack) -> Iterator[Fault]:
     """Slices that are the mean of their neighbours, or lie on a straight line between two."""
     for a, b in _dips(_log(t.bend), t.is_good, 3, FILLED):
+        across = _square(t.s[b + 2], t.s[a])  # from the slice before them to the one behind
         # Otherwise all of them are copies.
-        if _square(t.s[b + 2], t.s[a]) > _COPY * t.usual_difference(a):
+        if across > _COPY * t.usual_difference(a):
             yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
@@ -422,27 +466,33 @@ def _far_copies(t: _Stack) -> Iterator[Fault]:
     log = _log(t.d1)
     for k in range(2, len(t.s) - 1):
         # A jump may lead back where ln d1 rises above its median; by 64 slices at most.
-        rise = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
+        around = log[max(k - 6, 0) : k + 5]
+        rise = log[k - 1] - np.median(around)
         if rise < 0.25 or not t.is_good[k - 1 : k + 1].all():
             continue
         earliest = max(k - 64, 0)
         differences = t.differences_from(k, earliest, k - 1)
         source = int(differences.argmin()) + earliest
-        limit = _COPY * min(t.usual_difference(k - 1), t.usual_difference(source))
+        usual = min(t.usual_difference(k - 1), t.usual_difference(source))
+        limit = _COPY * usual
         if differences.min() < limit:
             is_copy = _differences(t.s[source : k + 64], k - source) < limit
-            count = int(np.argmin(np.append(is_copy, False)))
+            count = int(np.argmin(np.append(is_copy, False)))  # up to the first that is none
             yield Fault(kind="repeated", first=k, last=k + count - 1, other=source)
 
 
 def _jumps(t: _Stack) -> Iterable[Fault]:
-    """Places where the body goes on by more than a slice: what is missing, or lies elsewhere."""
+    """Places where the body goes on by more than a slice: what is missing, or lies elsewhere.
+
+    A jump lies between slices k and k + 1 where ln d1 rises above that of both pairs beside it.
+    """
     log = _log(t.d1)
     k = np.arange(1, t.d1.size - 1)
     limit = np.maximum(JUMP, _SIGMA * t.scatter(k))
     rise = log[k] - np.maximum(log[k - 1], log[k + 1])
+    is_jump = (rise > limit) & t.all_good(k, 2)
     faults: list[Fault] = []
-    for index in k[(rise > limit) & t.all_good(k, 2)].tolist():
+    for index in k[is_jump].tolist():
         if not t.is_good[index]:
             continue
         # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet,
@@ -460,7 +510,8 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
 def _jump(t: _Stack, k: int) -> Fault:
     """Name the fault at a jump between slices k and k + 1.
 
-    One of them fits elsewhere, or slices are missing.
+    One of them fits elsewhere, or slices are missing. It fits where the slice that is most like it
+    (but for its own neighbours) differs from it as neighbours do, and has a place free beside it.
     """
     from_next = t.differences_from(k + 1)
     from_slice = t.differences_from(k)
@@ -471,7 +522,8 @@ def _jump(t: _Stack, k: int) -> Fault:
     usual = min(t.usual_difference(k), t.usual_difference(nearest))
     if differences[nearest] < min(_FITS * usual, 0.6 * t.d1[k]):
         # That slice is at an end of the stack, or does not continue a neighbour of its own.
-        limit = 1.3 * np.median(t.d1[max(nearest - 4, 0) : nearest + 4])
+        around = t.d1[max(nearest - 4, 0) : nearest + 4]
+        limit = 1.3 * np.median(around)
         is_at_end = nearest in (0, t.d1.size)
         if is_at_end or t.d1[nearest - 1 : nearest + 1].max() > limit:
             return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
@@ -481,19 +533,20 @@ def _jump(t: _Stack, k: int) -> Fault:
 def _missing_steps(t: _Stack, k: int) -> float:
     """Slices by which the body goes on too far between slices k and k + 1; NaN beyond 20.
 
-    As far apart slices beside the jump must be to differ as much.
+    As far apart slices beside the jump must be to differ as much: the lag, between whole ones, at
+    which the median difference of 40 slices on either side reaches that of the jump.
     """
     before = t.s[max(k - 40, 0) : k + 1]
     after = t.s[k + 1 : k + 42]
     jump_difference = float(t.d1[k])
     previous_median = 0.0
     for lag in range(1, 21):
-        lag_differences = [
-            _differences(part, lag) for part in (before, after) if len(part) > lag + 2
-        ]
-        median = float(np.median(np.concatenate(lag_differences))) if lag_differences else 0.0
+        parts = [part for part in (before, after) if len(part) > lag + 2]
+        lag_differences = [_differences(part, lag) for part in parts]
+        median = float(np.median(np.concatenate(lag_differences))) if parts else 0.0
         if median >= jump_difference:
-            return lag - (median - jump_difference) / max(median - previous_median, _TINY) - 1.0
+            beyond = median - jump_difference
+            return lag - beyond / max(median - previous_median, _TINY) - 1.0
         previous_median = median
     return np.nan
 

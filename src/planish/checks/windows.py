@@ -6,6 +6,7 @@ Taken in windows of some 300 x 300 voxels, in one pass.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product as pairs_of
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,8 +45,9 @@ class Window:
 def window_of(slices: Array, axis: Axis = "z") -> Window:
     """Sum up slices that are in memory, (slices, rows, cols)."""
     part = np.ascontiguousarray(slices, dtype=np.float32)
-    square, product, blocks = _sums(part, edge=min(BLOCK, *part.shape[1:]))
-    voxels = part.shape[1] * part.shape[2]
+    _, rows, cols = part.shape
+    square, product, blocks = _sums(part, edge=min(BLOCK, rows, cols))
+    voxels = rows * cols
     return Window(
         axis=axis, first=0, square=square / voxels, product=product / voxels, blocks=blocks
     )
@@ -78,26 +80,26 @@ def read_windows(
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     boxes: dict[Axis, Box] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}
-    points = np.empty((0, 3), np.int32) if points is None else points
+    if points is None:
+        points = np.empty((0, 3), np.int32)
     in_order = list(boxes.values())
-    wanted = _by_window(points, in_order)
+    wanted = _by_window(points, boxes)
 
-    def read(piece: slice, axis: Axis, indices: Index, z: Places) -> _Part | None:
-        part = indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))]
+    def read(piece: slice, axis: Axis) -> _Part | None:
+        indices, z = wanted[axis]
+        first, stop = np.searchsorted(z, [piece.start, piece.stop])
+        in_piece = indices[first:stop]
+        is_sampled = axis != through
         return _read_part(
-            volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through
+            volume, axis, boxes[axis], piece, points, in_piece, fill_grey, is_sampled=is_sampled
         )
 
-    jobs: list[tuple[slice, Axis, Index, Places]] = [
-        (piece, axis, *points_with_z)
-        for piece in _pieces(volume, in_order)
-        for axis, points_with_z in zip(axes, wanted, strict=True)
-    ]
+    jobs = [*pairs_of(_pieces(volume, in_order), axes)]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[Array] = []
     sums: dict[Axis, list[Sums]] = {axis: [] for axis in axes}
-    for _, axis, _, _ in jobs:
+    for _, axis in jobs:
         part = parts.pop(0)  # it goes as soon as it is used
         if part is not None:
             sums[axis].append(part.sums)
@@ -109,21 +111,25 @@ def read_windows(
     return WindowReading(windows=windows, sample=sample, grey=grey)
 
 
-def _by_window(points: Places, boxes: list[Box]) -> list[tuple[Index, Places]]:
-    """Indices of the points in each window, ordered by z, and their z.
+def _by_window(points: Places, boxes: dict[Axis, Box]) -> dict[Axis, tuple[Index, Places]]:
+    """Indices of the points (n, 3) in the window along each axis, ordered by z, and their z.
 
     Those in several belong to the last one.
     """
     columns = np.ascontiguousarray(points.T)
-    window_number = np.full(len(points), -1, np.int8)
-    for i, box in enumerate(boxes):
+    window_number = np.full(len(points), -1, np.int8)  # of each point; -1 outside of all
+    for i, box in enumerate(boxes.values()):
         is_inside = np.ones(len(points), bool)
-        for places, name in zip(columns, "zyx", strict=True):
-            is_inside &= (places >= box[name].start) & (places < box[name].stop)
+        for places, part in zip(columns, (box["z"], box["y"], box["x"]), strict=True):
+            is_inside &= (places >= part.start) & (places < part.stop)
         window_number[is_inside] = i
-    inside = (np.flatnonzero(window_number == i) for i in range(len(boxes)))
-    ordered = [indices[np.argsort(columns[0, indices], kind="stable")] for indices in inside]
-    return [(indices, columns[0, indices]) for indices in ordered]
+    by_axis: dict[Axis, tuple[Index, Places]] = {}
+    for i, axis in enumerate(boxes):
+        indices = np.flatnonzero(window_number == i)
+        z = columns[0, indices]
+        by_z = np.argsort(z, kind="stable")
+        by_axis[axis] = indices[by_z], z[by_z]
+    return by_axis
 
 
 class _Part(NamedTuple):
@@ -148,15 +154,19 @@ def _read_part(
 ) -> _Part | None:
     """Read the slices ``piece`` along z of a window at ``window_box``, with the points ``wanted``.
 
-    None if outside.
+    None if outside. Across another axis a piece that is long along z is read in cuts along that
+    axis. Two slices before a part are read, or kept, with it: sums are over pairs and triples, and
+    those across a border belong to the part behind it.
     """
-    start = max(piece.start, window_box["z"].start)
-    stop = min(piece.stop, window_box["z"].stop)
+    window_z = window_box["z"]
+    start = max(piece.start, window_z.start)
+    stop = min(piece.stop, window_z.stop)
     if stop <= start:
         return None
     places = points[wanted]
-    # Pairs across the border between two pieces belong to the second one.
-    n_before = min(2, start - window_box["z"].start) if axis == "z" else 0
+    n_before = 0  # slices of the part before
+    if axis == "z":
+        n_before = min(2, start - window_z.start)
     piece_box = window_box | {"z": slice(start - n_before, stop)}
     k = "zyx".index(axis)
     edge = _block_edge(window_box, axis)
@@ -165,12 +175,14 @@ def _read_part(
     for cut in _cuts(volume, piece_box, axis):
         cut_box = piece_box | {axis: cut}
         greys = np.asarray(volume.isel(cut_box).values)
-        is_here = (places[:, k] >= cut.start) & (places[:, k] < cut.stop)
+        along_axis = places[:, k]
+        is_here = (along_axis >= cut.start) & (along_axis < cut.stop)
         indices = wanted[is_here]
         starts = np.array([cut_box[name].start for name in "zyx"], places.dtype)
         z, y, x = (places[is_here] - starts).T
         grey = greys[z, y, x].astype(np.float32)
-        sample = (greys[::3, ::3, ::3] if is_sampled else greys[:0]).ravel()  # for a histogram
+        sampled = greys[::3, ::3, ::3] if is_sampled else greys[:0]  # for a histogram
+        sample = sampled.ravel()
         if last_slices is not None:
             n_before = last_slices.shape[k]
             greys = np.concatenate([last_slices, greys], axis=k)
@@ -192,38 +204,52 @@ def _cuts(volume: xr.DataArray, piece_box: Box, axis: Axis) -> list[slice]:
     chunk = chunks_of(volume)["zyx".index(axis)]
     slice_bytes = 4 * _voxels_of_slice(piece_box, axis)
     size = max(int(WINDOW_BYTES / slice_bytes) // chunk, 1) * chunk
-    start, stop = piece_box[axis].start, piece_box[axis].stop
+    return _cut(piece_box[axis].start, piece_box[axis].stop, size)
+
+
+def _cut(start: int, stop: int, size: int) -> list[slice]:
+    """Slices of a size from start to stop; the last one may be smaller."""
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]) -> Box:
+    """Place of the window along an axis, as slices of z, y and x.
+
+    It holds all slices along that axis, the sheet with four slices beside it along ``through``,
+    and the middle of the volume along what is left.
+    """
     first, last = sheet_slices
-    sheet_range = slice(max(first - 4, 0), min(last + 5, volume.sizes[through]))
+    low = max(first - 4, 0)
+    high = min(last + 5, volume.sizes[through])
     # Some 90 000 voxels of a slice are looked at.
     widest = _EDGE
     if axis != through:
-        widest = int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
+        widest = int(np.clip(90_000 // (high - low), 60, 2 * _EDGE))
     window_box: Box = {}
-    for k, n in zip("zyx", volume.shape, strict=True):  # the middle, in whole blocks
-        edge = min(widest, n) // BLOCK * BLOCK or n
-        window_box[k] = slice((n - edge) // 2, (n - edge) // 2 + edge)
+    for k, n in zip("zyx", volume.shape, strict=True):
+        edge = min(widest, n) // BLOCK * BLOCK or n  # whole blocks, or all that there is
+        start = (n - edge) // 2
+        window_box[k] = slice(start, start + edge)
     window_box[axis] = slice(0, volume.sizes[axis])
-    window_box[through] = sheet_range
+    window_box[through] = slice(low, high)
     return window_box
 
 
 def _pieces(volume: xr.DataArray, boxes: Sequence[Box]) -> list[slice]:
-    """Cut along z: blocks are whole, chunks of the file are read once where memory allows."""
+    """Cut along z: blocks are whole, chunks of the file are read once where memory allows.
+
+    The cuts are shared by all windows.
+    """
     largest = max(_voxels_of_slice(box, "z") for box in boxes)
-    chunk = chunks_of(volume)
-    unit = math.lcm(BLOCK, chunk[0])
+    z_chunk, *other_chunks = chunks_of(volume)
+    unit = math.lcm(BLOCK, z_chunk)
     size = max(int(WINDOW_BYTES / (4 * largest)) // unit, 1) * unit
-    least_bytes = 4 * unit * max(chunk[1:]) * 2 * _EDGE  # once it is cut along another axis, too
+    least_bytes = 4 * unit * max(other_chunks) * 2 * _EDGE  # once it is cut along another axis, too
     if size > 40 * BLOCK and least_bytes >= 12 * WINDOW_BYTES:
         size = 8 * BLOCK
     start = min(box["z"].start for box in boxes)
     stop = max(box["z"].stop for box in boxes)
-    return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
+    return _cut(start, stop, size)
 
 
 def _voxels_of_slice(box: Box, axis: Axis) -> int:
@@ -237,9 +263,12 @@ def _block_edge(window_box: Box, axis: Axis) -> int:
 
 
 def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float, edge: int) -> Sums:
-    slices = np.ascontiguousarray(np.moveaxis(greys, "zyx".index(axis), 0), dtype=np.float32)
+    """Sums over greys (z, y, x) along an axis; what is not finite counts as ``fill_grey``."""
+    along_first = np.moveaxis(greys, "zyx".index(axis), 0)
+    slices = np.ascontiguousarray(along_first, dtype=np.float32)
     sums = _sums(slices, n_before, edge=edge)
-    if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():
+    square, _, blocks = sums
+    if np.isfinite(square).all() and np.isfinite(blocks).all():
         return sums
     filled = np.nan_to_num(slices, nan=fill_grey, posinf=fill_grey, neginf=fill_grey)
     return _sums(filled, n_before, edge=edge)
@@ -262,24 +291,25 @@ def _sums(part: NDArray[np.float32], n_before: int = 0, *, edge: int) -> Sums:
 def _joined(axis: Axis, window_box: Box, sums: list[Sums]) -> Window:
     """Join the sums of the parts of a window, which are taken out of ``sums``."""
     voxels = _voxels_of_slice(window_box, axis)
-    squares = [square for square, _, _ in sums]
-    products = [product for _, product, _ in sums]
+    squares, products, parts = map(list, zip(*sums, strict=True))
+    sums.clear()
+    # Parts follow each other along z: slices of a window along z, and else rows of its slices.
     if axis == "z":
         square = np.concatenate(squares)
         product = np.concatenate(products)
-        axis_index = 0
+        z_index = 0
     else:
         square = np.sum(squares, axis=0)
         product = np.sum(products, axis=0)
-        axis_index = 1
-    shape = list(sums[0][2].shape)
-    shape[axis_index] = sum(blocks.shape[axis_index] for _, _, blocks in sums)
+        z_index = 1
+    shape = list(parts[0].shape)
+    shape[z_index] = sum(part.shape[z_index] for part in parts)
     blocks = np.empty(shape, dtype=np.float32)
-    along = np.moveaxis(blocks, axis_index, 0)
+    along_z = np.moveaxis(blocks, z_index, 0)
     n_copied = 0
-    while sums:
-        part = np.moveaxis(sums.pop(0)[2], axis_index, 0)  # it goes as soon as it is copied
-        along[n_copied : n_copied + len(part)] = part
+    while parts:
+        part = np.moveaxis(parts.pop(0), z_index, 0)  # it goes as soon as it is copied
+        along_z[n_copied : n_copied + len(part)] = part
         n_copied += len(part)
     return Window(
         axis=axis,
