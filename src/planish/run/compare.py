@@ -23,7 +23,7 @@ from planish.core.grid import Grid
 from planish.core.older_names import height_map
 from planish.core.options import params_of
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Window
+from planish.core.typing import Bools, Floats, Window
 from planish.io.map_store import map_tiles
 from planish.marks.regions import read_regions
 from planish.results import LayerFacts, LinkedArea
@@ -55,17 +55,22 @@ class Comparison:
 
 
 def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Comparison:
-    """Compare linked layers in pairs, and the maps that lead with all that stands beside r."""
+    """Compare linked layers in pairs, and the maps that lead with all that stands beside r.
+
+    Textures are compared of a sheet and an image, and of two layers that show one side.
+    """
     pairs = [*combinations(overlay.layers, 2)]
     progress("correlate", f"{len(pairs)} pairs of layers")
     correlations: list[CorrelationRow] = []
+    textures: Textures = {}
+    point_um = study.correlate.point_um
     for a, b in pairs:
         is_light_off = overlay.light is not None and b is overlay.reference
         correlations += correlate_layers(
-            a.name, b.name, overlay.maps, study.correlate.point_um, light_off=is_light_off
+            a.name, b.name, overlay.maps, point_um, light_off=is_light_off
         )
-    comparable = [(a, b) for a, b in pairs if a.kind != b.kind or a.layer.side == b.layer.side]
-    textures = {(a.name, b.name): _texture_of_pair(a, b) for a, b in comparable}
+        if a.kind != b.kind or a.layer.side == b.layer.side:
+            textures[a.name, b.name] = _texture_of_pair(a, b)
     facts = _facts_of_layers(study, overlay, textures)
     area = None
     registrations = tuple[ComparisonRow, ...]()
@@ -94,13 +99,13 @@ def compare_layers(study: Study, overlay: Overlay, progress: Progress) -> Compar
 
 
 def _texture_of_pair(a: LinkedLayer, b: LinkedLayer) -> TextureFound:
+    """What the textures of two layers say of the side that shows, and of their place."""
     images = [linked.layer for linked in (a, b) if linked.kind == "image"]
     is_given = all(image.side_given is not None for image in images)
     unit_um = length_unit_um(a.layer.grid, b.layer.grid)
+    side = _side_of(a, b)
     names = (a.name, b.name)
-    return texture_of(
-        a.maps, b.maps, names, side=_side_of(a, b), is_given=is_given, unit_um=unit_um
-    )
+    return texture_of(a.maps, b.maps, names, side=side, is_given=is_given, unit_um=unit_um)
 
 
 def _side_of(a: LinkedLayer, b: LinkedLayer) -> Side:
@@ -111,21 +116,23 @@ def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> Fact
     """What each layer is; of those placed by texture, with r that their place was not tuned on."""
     reference = overlay.reference
     facts = dict[str, LayerFacts]()
+    headline = study.correlate.headline
     for linked in overlay.layers:
         texture = textures.get((linked.name, reference.name))
-        facts[linked.name] = layer_facts(
-            linked,
-            side=_side_of(linked, reference),
-            lag=None if texture is None else texture.lag,
-            headline=study.correlate.headline,
-        )
+        lag = None if texture is None else texture.lag
+        side = _side_of(linked, reference)
+        facts[linked.name] = layer_facts(linked, side=side, lag=lag, headline=headline)
     return tuple(_with_held_out(linked, facts, overlay) for linked in overlay.layers)
 
 
 def _with_held_out(
     linked: LinkedLayer, facts: Mapping[str, LayerFacts], overlay: Overlay
 ) -> LayerFacts:
-    """A layer with the r that its place, found by texture, was not tuned on."""
+    """A layer with the r that its place, found by texture, was not tuned on.
+
+    It is that of the two maps that lead, within the rows and columns that hold valid pixels; beside
+    an image the heights of the face that it shows are given, whose light a place may be tuned on.
+    """
     layer = facts[linked.name]
     registration = layer.registration
     if registration is None or registration.source not in ("texture", "both"):
@@ -137,20 +144,21 @@ def _with_held_out(
     valid = sheet["valid"][window].values & fixed["valid"][window].values
     if not valid.any():
         return layer
+    values = _in_window(sheet[name], window)
+    fixed_values = _in_window(fixed[fixed_name], window)
     face = height_map(overlay.reference.layer.side, sheet)
     heights = None
     if face in sheet and fixed_name == "image":
-        heights = sheet[face][window].values.astype(np.float64)
-    held_out = held_out_r(
-        sheet[name][window].values.astype(np.float64),
-        fixed[fixed_name][window].values.astype(np.float64),
-        heights,
-        valid,
-        overlay.grid.pixel_um,
-        length_unit_um(linked.layer.grid, overlay.grid),
-    )
+        heights = _in_window(sheet[face], window)
+    unit_um = length_unit_um(linked.layer.grid, overlay.grid)
+    held_out = held_out_r(values, fixed_values, heights, valid, overlay.grid.pixel_um, unit_um)
     judged = registration.model_copy(update={"held_out": held_out})
     return layer.model_copy(update={"registration": judged})
+
+
+def _in_window(values: xr.DataArray, window: Window) -> Floats:
+    """Values of a map within rows and columns."""
+    return values[window].values.astype(np.float64)
 
 
 def _bounds(valid: xr.DataArray) -> Window:
@@ -164,8 +172,11 @@ def _bounds(valid: xr.DataArray) -> Window:
 
 
 def _bound(is_in: Bools) -> slice:
+    """From the first to the last place that is in; empty where none is."""
     places = np.flatnonzero(is_in).tolist()
-    return slice(places[0], places[-1] + 1) if places else slice(0, 0)
+    if not places:
+        return slice(0, 0)
+    return slice(places[0], places[-1] + 1)
 
 
 def _evidence(study: Study, overlay: Overlay, facts: FactsOfLayers) -> tuple[EvidenceFacts, ...]:
@@ -177,13 +188,14 @@ def _evidence(study: Study, overlay: Overlay, facts: FactsOfLayers) -> tuple[Evi
     sheets = [linked for linked in overlay.layers if linked.kind == "sheet"]
     columns = {linked.name: _columns_of(linked) for linked in sheets}
     md_deg = _machine_direction(overlay, facts)
+    fixed_map = (reference.name, reference.headline)
     evidence: list[EvidenceFacts | None] = []
     for layer in moving:
         if layer.headline in overlay.maps[layer.name]:
             diagnostics = correlation_diagnostics(
                 overlay.maps,
                 (layer.name, layer.headline),
-                (reference.name, reference.headline),
+                fixed_map,
                 params=study.correlate,
                 columns=columns,
                 md_deg=md_deg,
@@ -194,6 +206,7 @@ def _evidence(study: Study, overlay: Overlay, facts: FactsOfLayers) -> tuple[Evi
 
 
 def _columns_of(linked: LinkedLayer) -> SheetColumns:
+    """Columns of a sheet, and how they come to the reference; gaps between sections are filled."""
     groups = linked.layer.groups
     similarity = Similarity() if linked.link is None else linked.link.chain.similarity
     has_gaps = "sections" in groups and bool(groups["sections"].attrs["missing"])
@@ -210,13 +223,13 @@ def _machine_direction(overlay: Overlay, facts: FactsOfLayers) -> float | None:
     reference = overlay.reference.layer
     if reference.md_deg is not None:
         return reference.md_deg
-    registrations = [layer.registration for layer in facts if layer.registration is not None]
-    carried_deg = [
-        registration.orientation.md_deg_fixed_from_moving
-        for registration in registrations
-        if registration.to == reference.name
-    ]
-    return next((angle_deg for angle_deg in carried_deg if angle_deg is not None), None)
+    for layer in facts:
+        registration = layer.registration
+        if registration is not None and registration.to == reference.name:
+            carried_deg = registration.orientation.md_deg_fixed_from_moving
+            if carried_deg is not None:
+                return carried_deg
+    return None
 
 
 def _compare_registrations(
@@ -253,18 +266,15 @@ def _refine(
     headline, fixed_headline = (layer.headline for layer in facts)
     name, fixed_name = leading_pair(headline, fixed_headline, maps, fixed_maps)
     is_valid = maps["valid"].values & fixed_maps["valid"].values
+    unit_um = length_unit_um(moving.layer.grid, grid)
+    fit = moving.link.registration.fit
     transform, refinement = refine_link(
-        maps[name],
-        fixed_maps[fixed_name],
-        is_valid,
-        grid,
-        moving.link.registration.fit,
-        model,
-        length_unit_um(moving.layer.grid, grid),
+        maps[name], fixed_maps[fixed_name], is_valid, grid, fit, model, unit_um
     )
     on_part = moved_by(moving.layer.shown, transform)
     for tile in map_tiles(grid.shape):
-        overlay.store.add("refined", grid, tile, on_part(grid.part(tile.rows, tile.cols)))
+        refined = on_part(grid.part(tile.rows, tile.cols))
+        overlay.store.add("refined", grid, tile, refined)
     return overlay.store.group("refined"), refinement
 
 
@@ -314,5 +324,6 @@ def correlate_maps(
         valid_bands: list[Bools] = []
         for rows, (is_valid,) in read_bands(linked["valid"]):
             valid_bands.append(is_valid & ~regions.inside(grid.part(rows)))
-        linked = linked.assign(valid=(("y", "x"), np.concatenate(valid_bands)))
+        is_valid = np.concatenate(valid_bands)
+        linked = linked.assign(valid=(("y", "x"), is_valid))
     return tuple(correlate_layers(*names, split_linked(linked, *names), params.point_um))

@@ -20,7 +20,7 @@ from planish.core.facts import InputFile, Interval, Side, is_known
 from planish.core.grid import Grid, pitch
 from planish.core.numbers import capital, with_article
 from planish.core.tables import table_text
-from planish.core.typing import Bools, Entries
+from planish.core.typing import Bools, Entries, Floats
 from planish.io import fingerprint
 from planish.measure.registry import has_true_zero
 from planish.register import FittedTransform
@@ -43,13 +43,14 @@ from planish.run.position_error import error_shares
 
 
 def input_file(data: xr.DataArray, path: str) -> InputFile:
-    """What a file is, as its reader noted it."""
+    """What a file is, as its reader noted it in the attributes of a volume or an image."""
     attrs = data.attrs
     size = "voxel_um" if "voxel_um" in attrs else "pixel_um"
+    stored_dtype = attrs.get("stored_dtype", data.dtype)
     return InputFile(
         name=attrs["file_name"],
         shape=data.shape,
-        dtype=str(attrs.get("stored_dtype", data.dtype)),
+        dtype=str(stored_dtype),
         bytes=attrs["file_bytes"],
         sha256=fingerprint(path),
         size_um=tuple(attrs[size]),
@@ -61,18 +62,31 @@ def input_file(data: xr.DataArray, path: str) -> InputFile:
 def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     """What the surface search learnt and how much of the sheet it measured."""
     status = surfaces["status"]
-    status_names = str(status.attrs["flag_meanings"]).split()
-    shares = {name: float((status.values == k).mean()) for k, name in enumerate(status_names)}
-    search_facts = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields}
-    counts = {k: int(search_facts[k] or 0) for k in ("particles_removed", "half_closed_holes")}
-    return SurfaceFacts.model_validate(
-        search_facts | counts | {"columns": status.size, "shares": shares}
-    )
+    shares: dict[str, float] = {}
+    for k, name in enumerate(str(status.attrs["flag_meanings"]).split()):
+        is_so = status.values == k
+        shares[name] = float(is_so.mean())
+    facts = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields}
+    facts |= {"columns": status.size, "shares": shares}
+    for count in ("particles_removed", "half_closed_holes"):
+        facts[count] = int(facts[count] or 0)
+    return SurfaceFacts.model_validate(facts)
+
+
+def _known(data: xr.DataArray) -> Floats:
+    """The values of a map that are known, one after the other."""
+    return data.values[np.isfinite(data.values)].astype(np.float64)
 
 
 def _error_facts(errors: xr.DataArray, column_um2: float) -> Entries:
-    """Error of a column, how many of them are independent, and the error of their mean."""
-    values = errors.values[np.isfinite(errors.values)].astype(np.float64)
+    """Error of a column, how many of them are independent, and the error of their mean.
+
+    ``errors`` are standard errors of a map (y, x), ``column_um2`` is the area of a column. The
+    attribute ``patch_um2`` is the area that one value speaks for, ``common_um`` the part of the
+    error that all columns share, which no mean makes smaller. Without ``patch_um2``, which older
+    runs lack, nothing is said of the mean.
+    """
+    values = _known(errors)
     if not values.size:
         return {}
     facts: Entries = {"standard_error": float(np.median(values))}
@@ -93,14 +107,14 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
     """
     facts: dict[str, PropertyFacts] = {}
     for name, data in surfaces.data_vars.items():
-        if not is_property(data):
-            continue
-        values = data.values[np.isfinite(data.values)].astype(np.float64)
+        values = _known(data) if is_property(data) else np.empty(0)
         if not values.size:
             continue
         vectors = summable_of(surfaces, name)[np.isfinite(data.values)]
+        # Angles of an axis are counted from their mean, so that 179 degrees lie beside 0.
         mean, sd, near_mean = distribution(values, vectors)
-        p5, median, p95 = map(float, np.percentile(near_mean, [5, 50, 95]))
+        percentiles = np.percentile(near_mean, [5, 50, 95])
+        p5, median, p95 = map(float, percentiles)
         has_cov = has_true_zero(str(name)) and mean > 0
         error_facts: Entries = {}
         if f"{name}_se" in surfaces:
@@ -122,17 +136,22 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
 
 
 def section_facts(sections: xr.Dataset) -> SectionFacts:
-    """How serial sections were joined."""
+    """How serial sections were joined: shifts and gains of those that could be aligned."""
     attrs = sections.attrs
-    aligned = sections["aligned"].values
+    is_aligned = sections["aligned"].values
+    gains = sections["gain"].values[is_aligned]
+    row_jitter_um, col_jitter_um = attrs["jitter_left_um"]
     facts = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
-    facts["count"] = aligned.size
-    facts["not_aligned"] = int(np.count_nonzero(~aligned))
-    facts["gain_sd"] = float(np.std(sections["gain"].values[aligned]))
-    for axis, jitter_um in zip(("row", "col"), attrs["jitter_left_um"], strict=True):
-        shift_um = sections[f"shift_{axis}"].values[aligned]
+    facts |= {
+        "count": is_aligned.size,
+        "not_aligned": int(np.count_nonzero(~is_aligned)),
+        "gain_sd": float(np.std(gains)),
+        "jitter_left_row_um": float(row_jitter_um),
+        "jitter_left_col_um": float(col_jitter_um),
+    }
+    for axis in ("row", "col"):
+        shift_um = sections[f"shift_{axis}"].values[is_aligned]
         facts[f"shift_{axis}_rms_um"] = float(np.sqrt(np.mean(shift_um**2)))
-        facts[f"jitter_left_{axis}_um"] = float(jitter_um)
     return SectionFacts.model_validate(facts)
 
 
@@ -141,11 +160,14 @@ def layer_facts(
 ) -> LayerFacts:
     """What a layer is, how much of the reference it covers, and how it was registered.
 
-    ``side`` is that which shows, ``headline`` the map of sheets that the study names.
+    ``side`` is that which shows, ``lag`` how far its texture lies beside that of the reference
+    (None where that was not measured), ``headline`` the map of sheets that the study names.
     """
     layer, link, maps = linked.layer, linked.link, linked.maps
     shown = maps["volume_z" if layer.kind == "sheet" else "image"]
-    pixels = sum(int(np.count_nonzero(np.isfinite(values))) for _, (values,) in read_bands(shown))
+    pixels = 0
+    for _, (values,) in read_bands(shown):
+        pixels += int(np.count_nonzero(np.isfinite(values)))
     image = None
     if layer.params.image is not None:
         image = image_facts(layer.params.image, layer.corrected and layer.corrected.facts)
@@ -163,7 +185,12 @@ def layer_facts(
 
 
 def _registration_facts(link: Link, maps: xr.Dataset, lag: LagNumbers | None) -> RegistrationFacts:
-    registration, fit = link.registration, link.registration.fit
+    """How a layer was registered to the next one of its path.
+
+    ``maps`` are those of the layer on the reference; their expected error is of the whole path.
+    """
+    registration = link.registration
+    fit = registration.fit
     layer, fixed = link.path[:2]
     _, (errors_um,) = thinned(maps["expected_error"])
     errors_um = errors_um[np.isfinite(errors_um)]
@@ -214,13 +241,15 @@ def _orientation_facts(
 ) -> OrientationFacts:
     """How two registered layers lie on each other: side, hand and machine direction, as given.
 
-    Nothing is guessed.
+    Nothing is guessed. Layers that show opposite sides see each other mirrored; where the marks
+    fit mirrored without that, or do not with it, one of them is a mirror image (``is_reversed``).
     """
     is_reversed = fit.mirrored != (moving.side != fixed.side)
     md_fixed_deg = None
     if moving.md_deg is not None:  # an axis, deg clockwise on screen from x: 0 to 180
         angle_rad = np.deg2rad(moving.md_deg)
-        x, y = fit.transform.matrix() @ (np.cos(angle_rad), np.sin(angle_rad))
+        direction = (np.cos(angle_rad), np.sin(angle_rad))
+        x, y = fit.transform.matrix() @ direction
         md_fixed_deg = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
     sentences = [_side_sentence(layer) for layer in (moving, fixed) if layer.kind == "image"]
     if is_reversed:
@@ -267,7 +296,8 @@ def _angle(deg: float | None) -> str:
 def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea:
     """How much of the reference shows the sheet, and how much of that is valid.
 
-    ``mask`` is that of holes.
+    ``linked`` (y, x) has the flat coordinate ``u``, finite on the sheet, and ``valid``. ``mask``
+    tells of pixels whether they lie away from holes and declared regions.
     """
     grid = Grid.of(linked)
     n_on_sheet = n_off_holes = n_valid = 0
@@ -315,7 +345,10 @@ def _text(figure: float | None) -> float | str:
 
 
 def _property_rows(layer: str, sheet: SheetFacts, why: Callable[[str], str]) -> Rows:
-    """Give a row for each figure of each property; ``why`` names the checks that concern one."""
+    """Give a row for each figure of each property; ``why`` names the checks that concern one.
+
+    A figure is (statistic, value, standard error, units); None is a cell that stays empty.
+    """
     for name, p in sheet.properties.items():
         trust_cells = (p.n, p.trust, why(name))
         figures = [("mean", p.mean, p.mean_standard_error, p.units)]
@@ -341,8 +374,8 @@ def _figure_rows(results: Results) -> Rows:
             e = r.expected_error
             figure_cells = (layer.name, "expected error of the position")
             common_cells = ("", "um", r.matched, e.trust, why(POSITION))
-            for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
-                yield *figure_cells, statistic, _text(um), *common_cells
+            yield *figure_cells, "median", _text(e.median_um), *common_cells
+            yield *figure_cells, "largest", _text(e.largest_um), *common_cells
     for row in results.correlations:
         yield from _r_rows(results, row)
     for evidence in results.evidence:
@@ -358,7 +391,8 @@ def _r_rows(results: Results, row: CorrelationRow) -> Rows:
         figure_name += f", {_LIGHT_OFF}"
     layers = (row.a, row.b)
     why = _why(results.checks, layers, row.a_map, row.b_map, POSITION, CORRELATION)
-    for cells in _r_cells(row.point_um, row.r, row.interval, row.n, row.n_eff):
+    r_cells = _r_cells(row.point_um, row.r, row.interval, row.n, row.n_eff)
+    for cells in r_cells:
         yield " ".join(layers), figure_name, *cells, row.trust, why
 
 
@@ -387,16 +421,19 @@ def _light_rows(results: Results, evidence: EvidenceFacts) -> Rows:
     field = evidence.light_field
     if field is None:
         return
-    layers, maps = (evidence.a, evidence.b), (evidence.a_map, evidence.b_map)
+    layers = (evidence.a, evidence.b)
+    maps = (evidence.a_map, evidence.b_map)
     figures = *maps, POSITION, CORRELATION
     checks = [check for check in results.checks if check.name != EVEN_LIGHT]
     trust_cells = trust_of(checks, layers, figures), _why(checks, layers, *figures)
     n = field.n or 0
-    words, r = _LIGHT_OFF, (field.r, field.interval, n, field.n_eff)
-    if field.declared:
-        words, r = "light left in", (field.r_plain, field.interval_plain, n, n)
+    words = _LIGHT_OFF
+    r_cells = _r_cells(field.point_um, field.r, field.interval, n, field.n_eff)
+    if field.declared:  # then the field is off in the r that leads
+        words = "light left in"
+        r_cells = _r_cells(field.point_um, field.r_plain, field.interval_plain, n, n)
     figure_cells = " ".join(layers), f"r of {' and '.join(maps)}, {words}"
-    for cells in _r_cells(field.point_um, *r):
+    for cells in r_cells:
         yield *figure_cells, *cells, *trust_cells
     share_cells = "share of the image's variance that the field holds", _text(field.share)
     yield *figure_cells, *share_cells, "", "1", n, *trust_cells

@@ -34,6 +34,7 @@ from planish.run.layers import Datasets, Link, LinkedLayer, MappedLayer
 from planish.run.overlay import LINKED, Overlay
 from planish.run.packages import with_packages
 from planish.run.regions import region_facts
+from planish.run.registration import Registration
 from planish.run.run import Run
 from planish.run.study import Study, changed, to_dict, with_paths
 
@@ -52,15 +53,21 @@ def judge_sheet(study: Study, sheet: MappedLayer) -> Run:
         headline=leading_map(sheet.groups["surfaces"]),
         sheet=sheet.facts,
     )
-    checks = [*for_layers(sheet.checks, sheet.name), *_size_checks([facts])]
+    checks = for_layers(sheet.checks, sheet.name)
+    checks += _size_checks([facts])
     results = _results(study, [facts], checks)
     return Run(study=study, results=results, groups=sheet.groups, unchanged=sheet.unchanged)
 
 
 def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Run:
-    """The run of linked layers, with its checks applied to its numbers."""
+    """The run of linked layers, with its checks applied to its numbers.
+
+    The study of the run has the layers as they were made, with the sizes that were used. Sheets of
+    a link of other layers than one sheet and one image become runs of their own within the run.
+    """
     layers = [linked.layer for linked in overlay.layers]
-    study = with_packages(changed(study, layers=tuple(layer.params for layer in layers)))
+    used_params = tuple(layer.params for layer in layers)
+    study = with_packages(changed(study, layers=used_params))
     regions = overlay.mask.regions
     is_by_this_code = all(layer.by_this_code for layer in layers)
     checks = _checks_of_link(overlay, comparison, holes)
@@ -78,13 +85,16 @@ def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: Ho
         refinement=comparison.refinement,
         regions=None if regions is None else region_facts(regions, overlay.grid),
     )
-    links = {linked.name: linked.link for linked in overlay.layers if linked.link is not None}
+    registrations: dict[str, Registration] = {}
+    for linked in overlay.layers:
+        if linked.link is not None:
+            registrations[linked.name] = linked.link.registration
     run = Run(
         study=study,
         results=results,
         groups=_groups_of_link(study, overlay, comparison),
         regions=regions,
-        registrations={name: link.registration for name, link in links.items()},
+        registrations=registrations,
     )
     if study.is_sheet_on_image:
         return replace(run, unchanged=layers[0].unchanged)
@@ -93,8 +103,10 @@ def judge_link(study: Study, overlay: Overlay, comparison: Comparison, holes: Ho
 
 
 def _groups_of_link(study: Study, overlay: Overlay, comparison: Comparison) -> Datasets:
+    """Groups of the run of linked layers, by name, with smaller copies of their maps."""
     if study.is_sheet_on_image:
-        groups = overlay.layers[0].layer.groups | {LINKED: overlay.store.group(LINKED)}
+        sheet = overlay.layers[0].layer
+        groups = sheet.groups | {LINKED: overlay.store.group(LINKED)}
     else:
         groups = {f"layers/{name}": maps for name, maps in overlay.maps.items()}
     if comparison.refined is not None:
@@ -113,6 +125,11 @@ def _results(
     by_this_code: bool = True,
     **fields: Any,
 ) -> Results:
+    """Results with what they were made by, and with the checks applied to their numbers.
+
+    Layers that another planish mapped leave it open which code made the results
+    (``by_this_code``). ``fields`` are those of the results that a run of layers has.
+    """
     if by_this_code:
         fields |= {"code": hash_sources(), "commit": find_commit()}
     versions = {name: version(name) for name in _LIBRARIES} | study.packages
@@ -169,14 +186,20 @@ def _with_fit(check: Check, linked: LinkedLayer, layers: Sequence[LayerFacts]) -
         return check
     for facts in layers:
         fit = facts.registration
-        if fit is not None and fit.orientation.mirrored_volume and linked.name in fit.path[:2]:
+        if fit is None or linked.name not in fit.path[:2]:
+            continue
+        if fit.orientation.mirrored_volume:
             sentence = f"{check.sentence} The layers fit mirrored, which agrees with that."
             return check.model_copy(update={"state": "pass", "sentence": sentence, "advice": ""})
     return check
 
 
 def _size_checks(layers: Sequence[LayerFacts]) -> Iterator[Check]:
-    """Whether sizes that nobody may have measured fit those of the layers they are linked to."""
+    """Whether sizes that nobody may have measured fit those of the layers they are linked to.
+
+    The scale of a registration tells where the size of one of its two layers is in doubt, and
+    where the fit was free to have one.
+    """
     doubted = {facts.name for facts in layers if facts.source.size_doubt}
     for facts in layers:
         scale = None
@@ -194,14 +217,15 @@ def _scale_checks(overlay: Overlay, linked: LinkedLayer) -> Iterator[Check]:
     """Whether a sheet has the size that the marks say; by the first of its registrations."""
     if linked.kind != "sheet":
         return
+    groups = linked.layer.groups
     for other in overlay.layers[:-1]:
         assert other.link is not None
         moving, fixed = other.link.path[:2]
         is_fixed = linked.name == fixed.name
         if other is linked or (is_fixed and linked.link is None):
             registered_sheet = RegisteredSheet(
-                measured=linked.layer.groups["surfaces"],
-                flat=linked.layer.groups["flat"],
+                measured=groups["surfaces"],
+                flat=groups["flat"],
                 fit=other.link.registration.fit,
                 is_fixed=is_fixed,
                 either=moving.kind == fixed.kind == "sheet",
@@ -211,16 +235,19 @@ def _scale_checks(overlay: Overlay, linked: LinkedLayer) -> Iterator[Check]:
 
 
 def _registration_checks(link: Link, facts: LayerFacts, holes: HoleSearch) -> Iterator[Check]:
+    """Checks of the registration of a layer: of its fit, of holes that were found, of its field."""
     assert facts.registration is not None
     layer, fixed = link.path[:2]
     registration = link.registration
+    # A mark can hardly be placed better than within the larger pixel of both.
+    pixel_um = max(*layer.grid.pixel_um, *fixed.grid.pixel_um)
     judged = JudgedRegistration(
         layer=layer.name,
         facts=facts.registration,
         fit=registration.fit,
         agreement=registration.agreement(),
         hole_um=sum(holes.params.hole_um) / 2,
-        pixel_um=max(*layer.grid.pixel_um, *fixed.grid.pixel_um),
+        pixel_um=pixel_um,
     )
     yield from run_checks(judged, layer.name, fixed.name)
     if registration.source in ("found", "both"):
@@ -256,31 +283,35 @@ def _image_checks(overlay: Overlay) -> Iterator[Check]:
             if is_light_off and isinstance(linked.layer.shown, xr.DataArray):
                 image = linked.layer.shown  # whose scale has the ends of the camera's
             _, (grey, *valid) = thinned(image, *valid_maps)
-            yield from run_checks(SheetImage(grey[np.logical_and.reduce(valid)]), linked.name)
+            is_valid = np.logical_and.reduce(valid)
+            yield from run_checks(SheetImage(grey[is_valid]), linked.name)
 
 
 def _texture_checks(overlay: Overlay, a: str, b: str, texture: TextureFound) -> tuple[Any, ...]:
-    """What the texture of two layers says of their sides and their place.
+    """What the texture of two layers, by their names, says of their sides and their place.
 
-    Where two layers lie is judged where one of them is the reference.
+    Where two layers lie is judged where one of them is the reference. Layers that were registered
+    by their texture are judged by that registration.
     """
-    sides = [_with_hand(texture.checks[0], overlay, (a, b))]
-    checks = [*sides, *texture.checks[1:]] if b == overlay.reference.name else sides
+    side, *places = texture.checks
+    side = _with_hand(side, overlay, (a, b))
     link = next(linked.link for linked in overlay.layers if linked.name == a)
-    if link is None or link.path[1].name != b:
-        return tuple(checks)
-    registration = link.registration
-    if registration.source == "texture":
-        return found_by_texture(registration.sentence or "", registration.false_probability)
-    if registration.apart_um is not None:
-        return checks[0], holes_and_texture(*registration.apart_um)
-    return tuple(checks)
+    if link is not None and link.path[1].name == b:
+        registration = link.registration
+        if registration.source == "texture":
+            return found_by_texture(registration.sentence or "", registration.false_probability)
+        if registration.apart_um is not None:
+            return side, holes_and_texture(*registration.apart_um)
+    if b == overlay.reference.name:
+        return side, *places
+    return (side,)
 
 
 def _with_hand(side: Check, overlay: Overlay, names: tuple[str, str]) -> Check:
     """The check of side and specimen; where it fails, with what the files say of their hand."""
     if side.state not in ("look", "fail"):
         return side
-    layers = [linked.layer for linked in overlay.layers if linked.name in names]
-    texts = [side.advice, *(layer.hand_text for layer in layers)]
-    return side.model_copy(update={"advice": " ".join(filter(None, texts))})
+    texts = [side.advice]
+    texts += [linked.layer.hand_text for linked in overlay.layers if linked.name in names]
+    advice = " ".join(filter(None, texts))
+    return side.model_copy(update={"advice": advice})

@@ -87,10 +87,8 @@ def register_texture(
     placed in pixels of 8 um. These are lengths of paper; where a layer has another size, all of
     them are in proportion to the coarser pixel. Of two sheets the same map is compared.
     """
-    for layer, call in (
-        (moving, "pl.register_texture({}, fixed)"),
-        (fixed, "pl.register_texture(moving, {})"),
-    ):
+    calls = ("pl.register_texture({}, fixed)", "pl.register_texture(moving, {})")
+    for layer, call in zip((moving, fixed), calls, strict=True):
         if isinstance(layer, xr.Dataset):
             source = "pl.resample_maps(measured, flat)"
             check_dataset(layer, expected="maps", source=source, call_format=call)
@@ -100,7 +98,7 @@ def register_texture(
     if place is not None:
         is_bottom = place.mirrored if mirrored is None else mirrored
         layers = PlanePair.of(moving, fixed, "bottom" if is_bottom else "top", holes)
-        start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
+        start = _start(place, layers)
         search, names, scaled = None, None, 1.0
     else:
         layers, textured = find_places(moving, fixed, fit_params, mirrored, holes)
@@ -108,15 +106,16 @@ def register_texture(
         names = search.best.names
     strain = fit_params.scale_tolerance
     tiles = tiles_near(layers, start, scaled=scaled, names=names, off_um=TUNED_UM, strain=strain)
-    if len(tiles.moving_um) < _LEAST_TILES:
+    n_tiles = len(tiles.moving_um)
+    if n_tiles < _LEAST_TILES:
         raise CannotRegister(
-            f"{len(tiles.moving_um)} parts of the sheet show by themselves where they lie about its"
+            f"{n_tiles} parts of the sheet show by themselves where they lie about its"
             f" place, and {_LEAST_TILES} are needed to say how well that is known. Image or scan a"
             " larger field, or give pairs of points (`marks`)."
         )
     registration = _fitted(layers, tiles, fit_params, holes)
     if search is None:
-        sentence = f"The place was given; {len(tiles.moving_um)} tiles of the texture show it."
+        sentence = f"The place was given; {n_tiles} tiles of the texture show it."
         return replace(registration, sentence=sentence)
     return replace(
         registration, sentence=_decided(search, tiles), false_probability=search.false_probability
@@ -133,7 +132,13 @@ def uses_texture(layer: MappedLayer, fixed: MappedLayer, holes: HoleSearch, stud
         return False
     if params.by != "auto" or params.design:
         return params.by in ("texture", "both")
-    return any(holes.of(*pair).sizes["mark"] < 3 for pair in ((layer, fixed), (fixed, layer)))
+    hole_sets = (holes.of(layer, fixed), holes.of(fixed, layer))
+    return any(marks.sizes["mark"] < 3 for marks in hole_sets)
+
+
+def _start(place: Similarity, layers: PlanePair) -> Similarity:
+    """A place of the moving layer as the search has it: from its first plane, in its unit."""
+    return in_unit(place.inverse if layers.swapped else place, layers.unit_um)
 
 
 def register_by_texture(
@@ -141,19 +146,17 @@ def register_by_texture(
 ) -> Registration:
     """Register one layer of a link to another one by the texture of both.
 
-    What holes there are is masked.
+    What holes there are is masked, and fitted with the texture where both are asked for. Where
+    planish chose the texture by itself since holes are few, and it fails, the message says so too.
     """
     pair = (holes.of(layer, fixed), holes.of(fixed, layer))
     params = study.registration
-    moving, image = (of.groups["maps"] if of.image is None else of.shown for of in (layer, fixed))
-    assert isinstance(moving, xr.Dataset | xr.DataArray)
-    assert isinstance(image, xr.Dataset | xr.DataArray)
+    moving, image = _textured(layer), _textured(fixed)
     is_mirrored = layer.side != fixed.side
     if params.by == "both":
         by_holes = register_by_marks(layer, fixed, holes, study)
-        return _with_tiles(
-            by_holes, moving, image, params, pair, "bottom" if is_mirrored else "top"
-        )
+        side = "bottom" if is_mirrored else "top"
+        return _with_tiles(by_holes, moving, image, params, pair, side)
     knows_side = layer.kind == fixed.kind or layer.side_given or fixed.side_given
     hand = is_mirrored if knows_side else None
     try:
@@ -169,6 +172,13 @@ def register_by_texture(
         raise
 
 
+def _textured(layer: MappedLayer) -> xr.Dataset | xr.DataArray:
+    """The flat maps of a sheet, or an image as it is compared."""
+    shown = layer.groups["maps"] if layer.image is None else layer.shown
+    assert isinstance(shown, xr.Dataset | xr.DataArray)
+    return shown
+
+
 def _fitted(
     layers: PlanePair,
     tiles: TilePlaces,
@@ -178,7 +188,9 @@ def _fitted(
 ) -> Registration:
     """Fit the transformation to tiles and to holes of the moving and the fixed layer.
 
-    The holes are taken by ``pairs`` of their rows.
+    The holes are taken by ``pairs`` (n, 2) of their rows; others are marks without a partner.
+    Planes a and b of ``layers`` are the smaller and the larger layer: ``swapped`` where the moving
+    one is b.
     """
     count = len(tiles.moving_um)
     a_holes, b_holes = holes or (None, None)
@@ -189,7 +201,8 @@ def _fitted(
     fixed = _marks(tiles.fixed_um, tiles.covariance_um2, b_holes, layers.b)
     if layers.swapped:
         moving, fixed = fixed, moving
-    tile_rows = np.repeat(np.arange(count)[:, None], 2, axis=1)
+    numbers = np.arange(count)
+    tile_rows = np.stack([numbers, numbers], axis=1)
     rows = np.concatenate([tile_rows, pairs + count])
     moving_marks = moving.isel(mark=rows[:, 0])
     fixed_marks = fixed.isel(mark=rows[:, 1])
@@ -202,7 +215,8 @@ def _fitted(
         sources[: len(rows)][rows[:, k] < count] = "tile"
         marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=sources)
     if not len(pairs):  # holes show what all tiles share
-        fit = replace(fit, shared_um=math.sqrt(float(np.trace(tiles.shared_um2))))
+        shared_um2 = float(np.trace(tiles.shared_um2))
+        fit = replace(fit, shared_um=math.sqrt(shared_um2))
     return Registration(fit=fit, marks=with_residuals(marks, fit), source="texture")
 
 
@@ -216,30 +230,31 @@ def _with_tiles(
 ) -> Registration:
     """Fit holes and tiles in one, and say how far apart both lie.
 
-    The tiles are those that are found at the place by holes.
+    The tiles are those that are found at the place by holes. Both places are compared in the
+    middle of the moving layer; what is expected of their distance is the error of both.
     """
     layers = PlanePair.of(moving, fixed, side, holes)
-    place = by_holes.fit.transform.similarity
-    start = in_unit(place.inverse if layers.swapped else place, layers.unit_um)
+    start = _start(by_holes.fit.transform.similarity, layers)
     tiles = tiles_near(layers, start, strain=params.scale_tolerance)
-    if len(tiles.moving_um) < _LEAST_TILES:
+    count = len(tiles.moving_um)
+    if count < _LEAST_TILES:
         raise CannotRegister(
-            f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES}"
+            f"{count} parts of the texture show where they lie, and {_LEAST_TILES}"
             " are needed beside the holes. Link by the holes alone (`by=holes`)."
         )
     is_paired = paired(by_holes.marks)
     rows: list[Ints] = []
     for layer_holes, side_name in zip(holes, ("moving", "fixed"), strict=True):
         xy = points_of(by_holes.marks, side_name)[is_paired]
-        distances_um = np.linalg.norm(centres_of(layer_holes) - xy[:, None], axis=2)
-        rows.append(np.argmin(distances_um, axis=1))
+        offsets_um = centres_of(layer_holes) - xy[:, None]
+        rows.append(np.argmin(np.linalg.norm(offsets_um, axis=2), axis=1))
     pairs = np.stack(rows, axis=1)[by_holes.fit.weights > 0]
     fits = (_fitted(layers, tiles, params).fit, by_holes.fit)
     middle = TexturedPlane.of(moving, side).middle_um
     by_tiles_um, by_holes_um = (fit(middle) for fit in fits)
     apart_um = float(np.linalg.norm(by_tiles_um - by_holes_um))
-    expected_um = math.hypot(*(float(fit.expected_error_um(middle)) for fit in fits))
-    count = len(tiles.moving_um)
+    errors_um = [float(fit.expected_error_um(middle)) for fit in fits]
+    expected_um = math.hypot(*errors_um)
     # An error that tiles share does not get smaller with their number.
     tiles = tiles._replace(covariance_um2=tiles.covariance_um2 + count * tiles.shared_um2)
     sentence = f"{by_holes.sentence or ''} {count} tiles of the texture are fitted with the holes."
@@ -257,6 +272,7 @@ def _with_tiles(
 def _marks(
     um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TexturedPlane
 ) -> xr.Dataset:
+    """Tiles of a layer, places (n, 2) with covariances (n, 2, 2), as marks; then its holes."""
     columns = {
         "x": um[:, 0],
         "y": um[:, 1],
@@ -272,6 +288,7 @@ def _marks(
 
 
 def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
+    """Say which maps gave the place, how far it stands out, and how many tiles show it."""
     best = search.best
     title = _title(best.names)
     probability = f"{search.false_probability:.1g}"
