@@ -7,6 +7,7 @@ smoothing flattens.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -22,9 +23,9 @@ _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 
 
 def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> Floats:
-    """Smooth ``height`` (rows, cols) in um and carry it across missing values.
+    """Smooth ``height`` (rows, cols) in um and carry it across missing values, NaN.
 
-    It is carried on where the neighbourhood holds enough.
+    It is carried on where the neighbourhood holds enough; NaN elsewhere.
 
     ``cutoff_um``: wavelength that passes by half; ``pitch_um``: distance of rows and of columns.
     """
@@ -44,7 +45,8 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     block_mean = block_sum / np.maximum(finite_count, 1.0)
     mean = np.pad(np.where(is_whole, block_mean, 0.0), pad_nodes)
     weight = np.pad(np.where(is_whole, finite_count / full_count, 0.0), pad_nodes)
-    regression = _Regression(weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
+    block_pitch_um = pitch_um[0] * block[0], pitch_um[1] * block[1]
+    regression = _Regression(weight, block_pitch_um, cutoff_um)
     coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its
     # height and not 0.6 %.
@@ -83,17 +85,16 @@ def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Liter
     positions = np.meshgrid(*axis_positions, indexing="ij")
     if not is_finite.any():
         return np.full(positions[0].shape, np.nan)
-    interpolated = ndimage.map_coordinates(filled(field), positions, order=order, mode="nearest")
-    is_near_finite = ndimage.map_coordinates(
-        is_finite.astype(np.uint8), positions, order=0, mode="nearest"
-    )
+    sampled = partial(ndimage.map_coordinates, coordinates=positions, mode="nearest")
+    interpolated = sampled(filled(field), order=order)
+    is_near_finite = sampled(is_finite.astype(np.uint8), order=0)
     return np.where(is_near_finite > 0, interpolated, np.nan)
 
 
 def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floats:
     """Smooth every row by itself with a Gaussian, and carry it across what is missing in it.
 
-    NaN in empty rows.
+    ``height`` (rows, cols) in um; NaN in rows with fewer than two values.
 
     ``cutoff_um``: wavelength that passes by half; 400 um is a Gaussian of 75 um. ``pitch_um``:
     distance of the columns.
@@ -103,7 +104,8 @@ def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floa
     smoothed = np.full(height.shape, np.nan)
     x = np.arange(height.shape[1], dtype=np.float64)
     for i in np.flatnonzero(is_finite.sum(axis=1) > 1):
-        filled_row = np.interp(x, x[is_finite[i]], height[i, is_finite[i]])
+        is_known = is_finite[i]
+        filled_row = np.interp(x, x[is_known], height[i, is_known])
         # Mirrored through its ends, so that a slope goes on beyond them.
         reach_px = min(int(np.ceil(3 * sigma)), filled_row.size - 1)
         mirrored = np.pad(filled_row, reach_px, mode="reflect", reflect_type="odd")
@@ -116,7 +118,10 @@ class _Regression:
     """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
     def __init__(self, weight: Floats, pitch: Pair, cutoff: float) -> None:
-        """Prepare what depends on the weights (rows, cols) only; pitch and cut-off in um."""
+        """Prepare what depends on the weights (rows, cols) only; pitch and cut-off in um.
+
+        A weight of 1 is that of a node whose columns are all known, 0 of one that is missing.
+        """
         # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H
         # passes lambda by half (ISO 16610-31); applied twice, 1 - (1 - H)^2, it does so with a
         # wider weight.
@@ -156,9 +161,10 @@ class _Regression:
         return dict(zip(powers, map_threads(across, powers), strict=True))
 
     def __call__(self, mean: Floats) -> Floats:
-        """Return the constant terms.
+        """Return the constant terms of the paraboloids: the heights at the nodes (rows, cols).
 
-        NaN where nothing is known and the neighbourhood holds too little.
+        ``mean`` (rows, cols): heights of the nodes. NaN where nothing is known and the
+        neighbourhood holds too little.
         """
         has_data = self.weight > 0
         # Heights about their mean keep the sums well conditioned.

@@ -295,6 +295,11 @@ class Side:
     # By how much what lies directly below a coating, over WALL_UM, is lighter than the base.
     wall_below: float = 0.0
 
+    @property
+    def grey(self) -> float:
+        """Expected grey of the coating above the air."""
+        return float(self.level[2])
+
 
 WALL_UM = 1.5
 """Half of a pressed fibre: what a coating lies on, before the pores of the base begin."""

@@ -66,11 +66,8 @@ def correct_surfaces(
     original = uncorrected(surfaces)
     if not corrections.stretches:
         return original
-    if (
-        "from_labels" in original.attrs
-        or "grey_noise" not in original.attrs
-        or params.method != "profile"
-    ):
+    is_in_greys = "grey_noise" in original.attrs and "from_labels" not in original.attrs
+    if not is_in_greys or params.method != "profile":
         raise InputError(
             "Faces are corrected in grey values, with `surface_method=profile`. Correct labels in"
             " the program that made them, or leave `corrections` out."
@@ -89,10 +86,12 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
     names = [name for name in surfaces if str(name).startswith(("found_", "correction_"))]
     original = surfaces.drop_vars(names)
     is_changed = surfaces["found_status"].values != _UNCHANGED
-    is_centre_moved = np.isfinite(surfaces["found_centre"].values)
+    # The centre surface moved in more columns than the faces did.
+    is_centre_moved = surfaces["found_centre"].notnull().values
     for name in (*_HEIGHTS, "status", "centre"):
         is_restored = is_centre_moved if name == "centre" else is_changed
-        field = np.where(is_restored, surfaces[f"found_{name}"].values, surfaces[name].values)
+        before = surfaces[f"found_{name}"].values
+        field = np.where(is_restored, before, surfaces[name].values)
         original[name] = original[name].copy(data=field)
     for name in ("corrections", "corrected_tiles"):
         original.attrs.pop(name, None)
@@ -145,6 +144,7 @@ def preview_faces(
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
+    """Rows and columns that a stretch may change, and those that its faces are expected from."""
     frame = Frame.of(surfaces)
     margin_um = 1.5 * stretch.reach_um + 2 * RING_UM
     box: list[slice] = []
@@ -171,18 +171,19 @@ def _overlap(first: Sequence[slice], second: Sequence[slice]) -> bool:
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, and the status and centre surface that follow from them.
 
-    What was before is put in too.
+    What was before is put in too, as ``found_*``, in columns that changed: elsewhere NaN, and
+    ``_UNCHANGED`` in the status.
     """
-    top, bottom = (drawn.heights[face] for face in SIDES)
     is_changed = (drawn.how["top"] > 0) | (drawn.how["bottom"] > 0)
+    thickness = drawn.heights["top"] - drawn.heights["bottom"]
     # Where the two faces would change places nothing is drawn.
-    is_changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
-    corrected: dict[str, Array] = {
-        name: np.where(is_changed, drawn.heights[name], surfaces[name].values) for name in _HEIGHTS
-    }
+    is_changed &= ~(Frame.of(surfaces).sign * thickness <= 0)
+    corrected: dict[str, Array] = {}
+    for name in _HEIGHTS:
+        corrected[name] = np.where(is_changed, drawn.heights[name], surfaces[name].values)
     status = surfaces["status"].values
     is_repaired = np.isin(status, (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING))
-    is_repaired &= is_changed & np.isfinite(corrected["top"]) & np.isfinite(corrected["bottom"])
+    is_repaired &= is_changed & np.isfinite(corrected["top"] - corrected["bottom"])
     corrected["status"] = np.where(is_repaired, np.uint8(Status.MEASURED), status)
     corrected["centre"] = _moved_centre(surfaces, corrected, params)
     variables: Entries = {}
@@ -198,16 +199,17 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
             found_field = np.where(is_other, original, np.nan)
         variables[f"found_{name}"] = (("y", "x"), found_field, attrs)
     for face in SIDES:
-        how = np.where(is_changed, drawn.how[face], 0).astype(np.uint8)
+        how = drawn.how[face] * is_changed
         attrs = {
             "long_name": f"How the {face} face was corrected",
             "flag_values": [0, 1, 2],
             "flag_meanings": "found image interpolated",
         }
         variables[f"correction_{face}"] = (("y", "x"), how, attrs)
-        error = np.where(how > 0, drawn.error_um[face], np.nan).astype(np.float32)
+        error_um = np.where(how > 0, drawn.error_um[face], np.nan)
         title = f"Standard error that the correction adds to the {face} face"
         attrs = {"units": "um", "long_name": title}
+        error = error_um.astype(np.float32)
         variables[f"correction_{face}_error"] = (("y", "x"), error, attrs)
     return surfaces.assign(variables)
 
@@ -215,7 +217,11 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
 def _moved_centre(
     surfaces: xr.Dataset, corrected: dict[str, Array], params: SurfaceParams
 ) -> Floats:
-    """Centre surface, moved as far as the smoothing of corrected faces reaches."""
+    """Centre surface, moved as far as the smoothing of corrected faces reaches.
+
+    By the difference of two smoothings there, of the faces before and after. ``corrected``: heights
+    and status by name, (rows, cols).
+    """
     original = {name: surfaces[name].values for name in (*SIDES, "status")}
     face_means: list[Floats] = []
     for faces in (original, corrected):
@@ -223,8 +229,9 @@ def _moved_centre(
         face_means.append(np.where(faces["status"] == Status.MEASURED, middle, np.nan))
     centre = surfaces["centre"].values
     steps_um = pitch(surfaces)
-    is_missing = np.isnan(face_means[0]) & np.isnan(face_means[1])
-    is_different = (face_means[0] != face_means[1]) & ~is_missing
+    before, after = face_means
+    is_missing = np.isnan(before) & np.isnan(after)
+    is_different = (before != after) & ~is_missing
     if not is_different.any():
         return centre
     slices: list[slice] = []
@@ -236,10 +243,9 @@ def _moved_centre(
         slices.append(slice(first, int(changed_lines[-1]) + reach + 1))
     window = slices[0], slices[1]
     outline = np.isfinite(centre[window])
-    centres = [
-        centre_surface(face_mean[window], outline, steps_um, params)[0] for face_mean in face_means
-    ]
-    shift_um = centres[1] - centres[0]
+    centre_before, _ = centre_surface(before[window], outline, steps_um, params)
+    centre_after, _ = centre_surface(after[window], outline, steps_um, params)
+    shift_um = centre_after - centre_before
     moved_centre = centre.copy()
     # Where a correction moves it by less than a nanometre it stays.
     moved_centre[window] += np.where(np.abs(shift_um) >= 0.001, shift_um, 0.0)

@@ -51,10 +51,16 @@ def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
 class Patch:
     """Columns around the points of a stretch.
 
-    The points are (n, 3); ``window`` holds rows and columns, ``away`` how far each is away.
+    ``window``: their rows and columns; ``grid`` (rows, cols, 2): their places, ``away`` (rows,
+    cols): how far each is from the line through the points, um.
     """
 
     def __init__(self, columns: Columns, pitch: Pair, points: Floats, reach_um: float) -> None:
+        """Choose the columns.
+
+        ``pitch``: of rows and columns; ``points`` (n, 3): row, column and height of the points;
+        ``reach_um``: how far from them the face may be drawn. All in um.
+        """
         lateral_um = columns.lateral_um()
         self.pitch = pitch
         self.points = points
@@ -81,7 +87,12 @@ class Patch:
         *,
         uses_points: bool = False,
     ) -> TwoFields | None:
-        """Krige a field and its error where wanted, from trusted places and from the points."""
+        """Krige a field and its error where wanted, from trusted places and from the points.
+
+        ``field``, ``is_trusted``, ``is_wanted`` (rows, cols) of the window, the field in um. Both
+        results (n,) in um, in the order of the wanted columns; None where there is nothing to krige
+        from or to.
+        """
         rows, cols = subsample(np.argwhere(is_trusted), 160).T
         points = self.points if uses_points else self.points[:0]
         heights = np.concatenate([points[:, 2], field[rows, cols]])
@@ -89,20 +100,18 @@ class Patch:
             return None
         lag_um = max(0.25 * self.reach_um, 2 * max(self.pitch))
         trusted = np.where(is_trusted, field, np.nan)
-        slope = variogram_slope(trusted, self.pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
-        return krige(
-            self.grid[is_wanted],
-            places=np.concatenate([points[:, :2], self.grid[rows, cols]]),
-            heights=heights,
-            variances=np.full(heights.size, (_CLICK * self.voxel_um) ** 2),
-            slope=slope,
-        )
+        least_um2 = (0.25 * self.voxel_um) ** 2
+        slope = variogram_slope(trusted, self.pitch, lag_um, least=least_um2)
+        places = np.concatenate([points[:, :2], self.grid[rows, cols]])
+        variances = np.full(heights.size, (_CLICK * self.voxel_um) ** 2)
+        return krige(self.grid[is_wanted], places, heights, variances, slope)
 
 
 class Drawing:
     """Heights as corrections leave them, (rows, cols).
 
-    ``how`` and ``error_um`` by face; ``tiles`` searched again.
+    ``heights``: of faces and interfaces, um; ``how`` (0, IMAGE or INTERPOLATED) and ``error_um``
+    (NaN where a face is as found) by face; ``tiles``: those that were searched again.
     """
 
     def __init__(
@@ -114,11 +123,9 @@ class Drawing:
         self.attrs = surfaces.attrs
         self.pitch = pitch(surfaces)
         self.contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
-        self.scale = GreyScale(
-            air_grey=self.attrs["grey_air"],
-            polarity=self.attrs["polarity"],
-            blend_sd=float(self.attrs.get("averaged_columns", 0.0)),
-        )
+        blend_sd = float(self.attrs.get("averaged_columns", 0.0))
+        levels = {"air_grey": self.attrs["grey_air"], "polarity": self.attrs["polarity"]}
+        self.scale = GreyScale(**levels, blend_sd=blend_sd)
         self.voxel_um = self.columns.pitch[2]
         self.heights: NamedFields = {}
         self.how: dict[Side, Codes] = {}
@@ -142,16 +149,16 @@ class Drawing:
         rise_r, rise_c = rises_px(slopes, self.pitch, self.columns)
         cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         no_depth = np.full(centre.shape, np.nan)
-        return Guide(
-            low=no_depth,
-            high=no_depth,
-            slope_r=rise_r,
-            slope_c=rise_c,
-            cos_tilt=cosine,
-        )
+        return Guide(no_depth, no_depth, rise_r, rise_c, cosine)
 
     def _draw(self, stretch: Stretch, face: Side) -> None:
-        """Draw a face to the points of a stretch, where it is wrong, and what hangs on it."""
+        """Draw a face to the points of a stretch, where it is wrong, and what hangs on it.
+
+        It is wrong where it is missing, or too many standard errors off the height that the points
+        and the face beyond their reach say. Then it is expected once more, from the points and the
+        face right beside what is wrong. The other face is drawn where it is missing there, and the
+        interfaces of both follow.
+        """
         patch = Patch(self.columns, self.pitch, self._points(stretch, face), stretch.reach_um)
         measured_um = self._measured(face, patch.window)
         is_measured = np.isfinite(measured_um)
@@ -163,15 +170,18 @@ class Drawing:
         if expected is None:
             return
         is_wrong = np.zeros_like(is_inside)
-        deviation_um = np.abs(measured_um[is_inside] - expected[0])
-        is_wrong[is_inside] = ~(deviation_um <= _WRONG * expected[1] + _CLICK * self.voxel_um)
+        height, error = expected
+        deviation_um = np.abs(measured_um[is_inside] - height)
+        # A missing face is wrong too.
+        is_wrong[is_inside] = ~(deviation_um <= _WRONG * error + _CLICK * self.voxel_um)
         if not is_wrong.any():
             return
         # Beside what is wrong a face turns towards it.
         step_um = min(self.pitch)
-        blur_columns = int(np.ceil(2 * blur_reach_um(self.attrs) / step_um)) + 1
+        two_blurs = 2 * blur_reach_um(self.attrs) / step_um
+        blur_columns = int(np.ceil(two_blurs)) + 1
         ring_columns = max(2, int(np.ceil(RING_UM / step_um)))
-        is_wrong = ndimage.binary_dilation(is_wrong, iterations=blur_columns) & is_inside
+        is_wrong = is_inside & ndimage.binary_dilation(is_wrong, iterations=blur_columns)
         is_near_wrong = ndimage.binary_dilation(is_wrong, iterations=ring_columns)
         is_right = is_near_wrong & ~is_wrong & is_measured & (is_inside | is_around)
         if np.count_nonzero(is_right) < 10:
@@ -212,13 +222,19 @@ class Drawing:
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
     def _redraw(self, face: Side, window: Window, is_redrawn: Bools, expected: TwoFields) -> None:
-        """Move a face to where it is expected, or between that and an edge in the image."""
+        """Move a face to where it is expected, or between that and an edge in the image.
+
+        ``is_redrawn``: columns of the window; ``expected``: height and its standard error in each
+        of them, (n,) in um.
+        """
         height, error = expected
         interface = self.heights[f"interface_{face}"]
         heights = self.heights[face]
+        # The interface is the second edge of the column, as far below the face as usual here.
         offset_px = np.full(height.size, np.nan)
         if np.isfinite(interface).any():
-            offset_px[:] = np.nanmedian(np.abs(interface - heights)[window]) / self.voxel_um
+            coating_um = np.abs(interface - heights)[window]
+            offset_px[:] = np.nanmedian(coating_um) / self.voxel_um
         edge_heights = self._edges(
             face,
             window,
@@ -231,7 +247,8 @@ class Drawing:
         )
         has_edge = np.isfinite(edge_heights)
         # Both say where the face is, each as sure as it is.
-        weight = np.where(has_edge, error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2), 0.0)
+        edge_share = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
+        weight = np.where(has_edge, edge_share, 0.0)
         shift = np.where(has_edge, weight * (edge_heights - height), 0.0)
         heights[window][is_redrawn] = height + shift
         self.how[face][window][is_redrawn] = np.where(has_edge, IMAGE, INTERPOLATED)
@@ -242,7 +259,9 @@ class Drawing:
     ) -> None:
         """Move an interface with its face that was redrawn.
 
-        It is moved to edges in the image, or by the coating around.
+        It is moved to edges in the image, or by the coating around. ``is_redrawn``, ``is_near``:
+        columns of the patch in which the face was redrawn, and those around them too, whose coating
+        says how thick it is expected. Where it is only expected, its error adds to the face's.
         """
         window = patch.window
         interface = self.heights[f"interface_{face}"]
@@ -250,13 +269,13 @@ class Drawing:
             return
         coating_um = np.abs(interface - self.heights[face])[window]
         is_trusted = is_near & ~is_redrawn & np.isfinite(coating_um)
-        thickness = patch.expect(coating_um, is_trusted, is_redrawn)
-        if thickness is None:
+        expected = patch.expect(coating_um, is_trusted, is_redrawn)
+        if expected is None:
             return
+        thickness, error = expected
         face_height = self.heights[face][window][is_redrawn]
         inward = self.columns.frame.sign * (-1 if face == "top" else 1)
-        height = face_height + inward * np.maximum(thickness[0], 0.0)
-        error = thickness[1]
+        height = face_height + inward * np.maximum(thickness, 0.0)
         grey_step = self.attrs["grey_base"] - self.attrs[f"grey_coating_{face}"]
         edge_heights = self._edges(
             face,
@@ -268,10 +287,11 @@ class Drawing:
             sign=1.0 if self.attrs["polarity"] * grey_step > 0 else -1.0,
             min_step=_LEAST_INNER * abs(grey_step),
         )
-        has_edge = np.isfinite(edge_heights) & (inward * (edge_heights - face_height) > 0)
+        has_edge = inward * (edge_heights - face_height) > 0  # not where the edge is NaN
         interface[window][is_redrawn] = np.where(has_edge, edge_heights, height)
         face_errors = self.error_um[face][window]
-        face_errors[is_redrawn] = np.hypot(face_errors[is_redrawn], np.where(has_edge, 0.0, error))
+        added_um = np.where(has_edge, 0.0, error)
+        face_errors[is_redrawn] = np.hypot(face_errors[is_redrawn], added_um)
 
     def _depth(self, height: Floats, face: Side) -> Floats:
         depth = (height - float(self.columns.depth_um[0])) / self.voxel_um
@@ -292,8 +312,16 @@ class Drawing:
         sign: float,
         min_step: float,
     ) -> Floats:
-        """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
-        columns, attrs, scale = self.columns, self.attrs, self.scale
+        """Heights of edges near those that are expected, (n,); NaN where the image shows none.
+
+        In the columns of the window that are searched. ``expected``: height and standard error, um;
+        ``second_edge``: the other edge of the column in voxels, counted from the first inwards
+        where it ``is_relative`` to it, else from the end that is read from; NaN: none. ``sign``: -1
+        where the grey falls inwards at the edge, which is ``min_step`` high or more.
+        """
+        columns = self.columns
+        attrs = self.attrs
+        scale = self.scale
         is_high = self._is_high(face)
         starts = [[window[0].start], [window[1].start]]
         column_indices = np.stack(np.nonzero(is_searched)) + np.array(starts)
@@ -301,7 +329,8 @@ class Drawing:
         error_px = np.maximum(expected[1] / self.voxel_um, 0.25)
         # How far from the expected place an edge is sought, in voxels.
         band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)
-        edge_searches = np.stack([self._depth(expected[0], face), error_px, band_px, second_edge])
+        depth_px = self._depth(expected[0], face)
+        edge_searches = np.stack([depth_px, error_px, band_px, second_edge])
         noise = attrs["grey_noise"]
         fringe_px = attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         # The noise; the least step, and how much it gains: an edge of five standard errors; the
@@ -355,6 +384,7 @@ def _in_tile(places: Ints, tile: Tile) -> Bools:
 
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
+    """Depths of the edges of a tile, (n,) in voxels from the end that is read from; NaN: none."""
     (columns, guide, scale, is_high, blur_px), (rows, cols), searches, kind, options = job
     grey, guide = oriented(columns, tile, guide, scale)
     tile_indices = rows - tile.r0, cols - tile.c0
@@ -375,7 +405,8 @@ def distance_to_line(grid: Floats, places: Floats) -> Floats:
         length = float(segment @ segment)
         if length > 0:
             share = np.clip(((grid - start) @ segment) / length, 0, 1)
-            distance = np.minimum(distance, _length(grid - start - share[..., None] * segment))
+            from_nearest = grid - start - share[..., None] * segment
+            distance = np.minimum(distance, _length(from_nearest))
     return distance
 
 
@@ -384,11 +415,12 @@ def _length(vectors: Floats) -> Floats:
 
 
 def krige(
-    targets: Floats, *, places: Floats, heights: Floats, variances: Floats, slope: float
+    targets: Floats, places: Floats, heights: Floats, variances: Floats, slope: float
 ) -> TwoFields:
-    """Return height and its standard error at targets, from heights known at places.
+    """Return height and its standard error at targets, (m,) in um, from heights known at places.
 
-    The targets are (m, 2), the heights (n,), and the places (n, 2) in um.
+    The targets are (m, 2) and the places (n, 2): row and column in um. The heights (n,) are in um,
+    their ``variances`` (n,) in um2, and ``slope`` in um2 of semivariance for each um of distance.
 
     Ordinary kriging with a linear variogram: the semivariance of two heights that lie r apart is
     ``slope * r``, um2 (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Heights have their own
@@ -405,6 +437,7 @@ def krige(
     def semivariance(points: Floats) -> Floats:
         return slope * _length(points[:, None] - places[None])
 
+    # Its last row and column make the weights of each target sum to 1.
     system = np.ones((n + 1, n + 1))
     system[:n, :n] = -semivariance(places) + np.diag(variances)
     system[n, n] = 0.0
@@ -419,16 +452,18 @@ def krige(
         weights = semivariances @ inverse
         offsets = points - centroid
         height[chunk] = weights[:, :n] @ residuals + plane[0] + offsets @ plane[1:]
-        error[chunk] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
+        variance = -np.sum(weights * semivariances, axis=1)
+        error[chunk] = np.sqrt(np.maximum(variance, 0.0))
     return height, error
 
 
 def variogram_slope(heights: Floats, pitch: Pair, lag_um: float, *, least: float) -> float:
     """Return the slope of the linear variogram of a field, from pairs ``lag_um`` apart.
 
-    The field is (rows, cols), NaN where unknown.
+    In um2 for each um. The field is (rows, cols) in um, NaN where unknown; ``pitch``: of rows and
+    columns, um.
 
-    ``least``: variance at that lag where no more is seen.
+    ``least``: semivariance at that lag where no more is seen, um2.
     """
     squared_differences = [np.empty(0)]
     for field, step in zip((heights, heights.T), pitch, strict=True):

@@ -35,23 +35,29 @@ def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
     """Return the errors of each coated side (True: at the high end), (4, bins) in voxels.
 
     The thickness of a coating, and the standard deviations of the errors of its face, of its
-    thickness and of its interface.
+    thickness and of its interface. A side of which too few columns were fitted is left out.
     """
     if not any(priors.coated):
         return {}
-    patches = patches_of(columns, guide, _COLUMNS)
-    errors_of: dict[bool, list[Floats]] = {True: [], False: []}
-    for errors in map_threads(_patch_errors, [(columns, guide, priors, p) for p in patches]):
-        for from_high, values in errors.items():
-            errors_of[from_high].append(values)
-    joined = {k: np.concatenate(values, axis=1) for k, values in errors_of.items() if values}
-    return {k: _by_thickness(values) for k, values in joined.items() if values.shape[1] >= _LEAST}
+    jobs = [(columns, guide, priors, patch) for patch in patches_of(columns, guide, _COLUMNS)]
+    by_patch = map_threads(_patch_errors, jobs)
+    errors: dict[bool, Floats] = {}
+    for from_high in (True, False):
+        values = [patch[from_high] for patch in by_patch if from_high in patch]
+        if sum(part.shape[1] for part in values) >= _LEAST:
+            errors[from_high] = _by_thickness(np.concatenate(values, axis=1))
+    return errors
 
 
 def _by_thickness(values: Floats) -> Floats:
-    """Root mean squares in classes of thickness, of (4, columns)."""
+    """Mean thickness and root mean squares of errors in classes of thickness, (4, classes).
+
+    ``values`` (4, columns): thickness, and errors of face, thickness and interface, in voxels;
+    their means are taken off first.
+    """
     thickness = values[0]
-    errors = values[1:] - values[1:].mean(axis=1, keepdims=True)
+    errors = values[1:]
+    errors = errors - errors.mean(axis=1, keepdims=True)
     # A class is no narrower than one error to either side: within that, which column is in which
     # class is chance.
     thin, thick = np.quantile(thickness, _MOST)
@@ -60,38 +66,50 @@ def _by_thickness(values: Floats) -> Floats:
     order = np.argsort(thickness, kind="stable")
     rows: list[list[float]] = []
     for part in np.array_split(order, classes):
-        rms = np.sqrt(np.mean(errors[:, part] ** 2, axis=1))
+        mean_squares = np.mean(errors[:, part] ** 2, axis=1)
+        rms = np.sqrt(mean_squares)
         rows.append([thickness[part].mean(), *rms])
     return np.transpose(rows)
 
 
 def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
-    """Found thickness, and errors of face, thickness and interface, (4, columns) by side."""
+    """Thickness as fitted again, and errors of face, thickness and interface, by side.
+
+    Each (4, columns) in voxels: an error is what the second fit gives less what the coating was
+    made with.
+    """
     columns, guide, priors, patch = job
     depths = fit_tile(fit_job(columns, guide, priors, patch), patch)
     part = guide.part(patch)
-    grey, _ = oriented(columns, patch, part, replace(priors.scale, blend_sd=0.0))
+    single_columns = replace(priors.scale, blend_sd=0.0)
+    grey, _ = oriented(columns, patch, part, single_columns)
+    # The blur is as wide across the columns as along them, where it is in columns.
     width = priors.edge.width
-    sd_px = [width * columns.pitch[2] / p for p in columns.pitch[:2]]
+    voxel_um = columns.pitch[2]
+    sd_px = [width * voxel_um / p for p in columns.pitch[:2]]
     # Film and other material beside the sheet are not made again.
-    again = replace(priors, edge=replace(priors.edge, fringe=0.0), embedded_level=0.0)
+    plain_edge = replace(priors.edge, fringe=0.0)
+    again = replace(priors, edge=plain_edge, embedded_level=0.0)
+    # Columns whose neighbours are not all in the patch are blurred and averaged with too few.
     border = max(priors.scale.halo, int(3.0 * max(sd_px)) + 1)
     inside = (slice(border, -border),) * 2
     errors: dict[bool, Floats] = {}
     for k, from_high in enumerate((True, False)):
         face, thickness = depths[2 * k : 2 * k + 2]
         is_known = np.zeros(face.shape, bool)
-        is_known[inside] = (np.isfinite(face) & np.isfinite(thickness))[inside]
+        is_known[inside] = np.isfinite(face + thickness)[inside]
         if not priors.sides[from_high].coated or not is_known.any():
             continue
         outer, opposite = part.faces(grey.shape[2], from_high=from_high)
         inward = grey[..., ::-1] if from_high else grey
-        interface = filled(face) + filled(thickness)
-        layers = _sharpened(filled(face), sd_px), _sharpened(interface, sd_px)
+        whole_face = filled(face)
+        interface = whole_face + filled(thickness)
+        layers = _sharpened(whole_face, sd_px), _sharpened(interface, sd_px)
         remade = _remade(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
         stored = np.ascontiguousarray(remade[..., ::-1] if from_high else remade)
         remade = blended(stored, part, priors.scale, columns.step)
         fit = fit_side(remade, (outer, opposite, part.cos_tilt), again, columns, from_high)
+        # What is seen through the blur across the columns is a layer that is blurred like it.
         true_face, true_interface = (
             ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers
         )
@@ -103,7 +121,7 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
         # A face that stands so far off is left out as a spike. A fit that took a light place of the
         # core for coating is astray: no standard error tells of it.
         for error in off[:2]:
-            is_known &= np.abs(error) <= largest_step_px(error[is_known], columns.pitch[2])
+            is_known &= np.abs(error) <= largest_step_px(error[is_known], voxel_um)
         errors[from_high] = np.stack([fit_thickness, *off])[:, is_known]
     return errors
 
@@ -121,15 +139,22 @@ def _remade(
     from_high: bool,
     sd_px: list[float],
 ) -> Singles:
-    """Grey of a coating between two layers, as the scan would show it."""
+    """Grey of a coating between two layers, as the scan would show it, above the air.
+
+    ``inward`` (rows, cols, depth): the scan's own grey, read from outside, which gives air and
+    base. ``layers``: depth of the face and of the interface, ``expected``: of both faces of the
+    sheet by the coarse search, (rows, cols) in voxels. ``sd_px``: of the blur along rows and
+    columns, and along the depth.
+    """
     depth = np.arange(inward.shape[2])
     # The blur that was found has the voxel in it, and so do the shares of the voxels below.
     depth_sd_px = np.sqrt(max(sd_px[2] ** 2 - 1.0 / 12.0, 0.0))
     blur_px = [*sd_px[:2], depth_sd_px]
-    shares = (np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0) for layer in layers)
-    below_face, base = (
-        ndimage.gaussian_filter(share.astype(np.float32), blur_px) for share in shares
-    )
+    below_layer: list[Singles] = []
+    for layer in layers:
+        share = np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0)
+        below_layer.append(ndimage.gaussian_filter(share.astype(np.float32), blur_px))
+    below_face, base = below_layer
     # To and fro through the core, of which every depth of the base is made.
     outer = filled(expected[0])[..., None]
     thickness = filled(expected[1] - expected[0])[..., None]
@@ -138,11 +163,12 @@ def _remade(
     from_first = np.abs((depth - first) % (2.0 * length) - length)
     core_index = np.rint(first + from_first).astype(int)
     core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
-    coating_grey = _coating_grey(priors.sides[from_high], inward.shape[:2])[..., None]
-    remade = coating_grey * (below_face - base) + core * base
+    coating_grey = _coating_grey(priors.sides[from_high], inward.shape[:2])
+    remade = coating_grey[..., None] * (below_face - base) + core * base
     air = _air(inward, expected, priors.search_px)
     if air.shape[2] >= _LEAST_AIR:
-        to_and_fro = np.r_[0 : air.shape[2], air.shape[2] - 1 : -1 : -1]
+        air_index = np.arange(air.shape[2])
+        to_and_fro = np.concatenate([air_index, air_index[::-1]])
         noise = air[..., np.resize(to_and_fro, depth.size)]
         remade += noise * np.sqrt(np.maximum(1.0 - base**2, 0.0))
     return remade.astype(np.float32, copy=False)
@@ -154,14 +180,20 @@ def _coating_grey(side: Side, shape: Shape2D) -> Singles:
     if side.lone is not None and side.lone.spread > 0:
         drawn = np.random.default_rng(_SEED).standard_normal(shape)
         field = ndimage.gaussian_filter(drawn, _PLACE, mode="wrap")
-        grey += (side.lone.spread * field / field.std()).astype(np.float32)
+        deviation = side.lone.spread * field / field.std()
+        grey += deviation.astype(np.float32)
     return grey
 
 
 def _air(inward: Singles, expected: TwoFields, search_px: float) -> Singles:
-    """Air on that side of the sheet that has the more even one: on the other a film may lie."""
+    """Air on that side of the sheet that has the more even one: on the other a film may lie.
+
+    (rows, cols, samples), of no samples where there is too little air on both. ``expected``: of
+    both faces.
+    """
     outside = int(np.nanmin(expected[0]) - search_px)
-    beyond = int(np.nanmin(inward.shape[2] - 1 - expected[1]) - search_px)
+    behind = inward.shape[2] - 1 - expected[1]
+    beyond = int(np.nanmin(behind) - search_px)
     air_outside = inward[..., : max(outside, 0)]
     air_beyond = inward[..., ::-1][..., : max(beyond, 0)]
     enough = [air for air in (air_outside, air_beyond) if air.shape[2] >= _LEAST_AIR]

@@ -8,6 +8,7 @@ none is taken.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -83,15 +84,17 @@ def _shows_voids(core_grey: Floats) -> bool:
     """
     median, lightest = np.percentile(core_grey, [50, 99])
     depth = median - _VOID * lightest
-    dark = np.mean(core_grey < median - depth)
-    light = np.mean(core_grey > median + depth)
-    chance = np.sqrt((dark + light) / (core_grey.size / _DEPTHS))  # one value of a column counts
-    return bool(dark - light > _SIGMAS * chance)
+    dark_share = np.mean(core_grey < median - depth)
+    light_share = np.mean(core_grey > median + depth)
+    column_count = core_grey.size / _DEPTHS  # one value of a column counts
+    chance = np.sqrt((dark_share + light_share) / column_count)
+    return bool(dark_share - light_share > _SIGMAS * chance)
 
 
 def _side(coating: float, base: float, coating_sd: float, base_sd: float, *, coated: bool) -> Side:
     level = np.array([0.0, 0.0, coating, base])
-    return Side(level=level, spread=np.array([0.0, 0.0, coating_sd, base_sd]), coated=coated)
+    spread = np.array([0.0, 0.0, coating_sd, base_sd])
+    return Side(level=level, spread=spread, coated=coated)
 
 
 def _with_coating(side: Side, grey: float, sd: float, lone: LoneGrey | None = None) -> Side:
@@ -105,7 +108,8 @@ def _with_coating(side: Side, grey: float, sd: float, lone: LoneGrey | None = No
 
 def _grey_at(grey: Singles, depth_index: Ints) -> Array:
     """Grey (n, depth) at depths (n, m), or at the end of the column."""
-    return np.take_along_axis(grey, np.clip(depth_index, 0, grey.shape[1] - 1), axis=1)
+    index_within = np.clip(depth_index, 0, grey.shape[1] - 1)
+    return np.take_along_axis(grey, index_within, axis=1)
 
 
 class _Learner(Sampler):
@@ -114,14 +118,18 @@ class _Learner(Sampler):
     def __init__(
         self, columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams
     ) -> None:
-        """Choose the rows that are sampled, and say what the parameters ask for."""
+        """Choose the rows that are sampled, and look at them for the first time.
+
+        ``sides``, ``edge`` and the scale, noise and samples of the base class are learnt better
+        step by step; ``True`` stands for the side at the high end of the columns.
+        """
         super().__init__(columns, guide, survey)
         self.params = params
         self.is_separated = params.sheet_grey is not None or survey.surroundings == "material"
         self.base_level, self.base_sd = self._base(self.sample(from_high=True))
         self.calm(self.base_level)
         self.sample_of = self.samples()
-        # Coarse profile per side: is there a coating, how bright, how much does it vary?
+        # Coarse profile of each side and its undershoot: is there a coating, how bright is it?
         self.profiles = {k: self._profile(sample) for k, sample in self.sample_of.items()}
         if params.coating_grey is None:
             self.sides = {k: self._first_side(*profile) for k, profile in self.profiles.items()}
@@ -129,8 +137,8 @@ class _Learner(Sampler):
             self.sides = dict.fromkeys(self.profiles, self._preset_side(params.coating_grey))
         self.edge = Edge(width=1.0)
         self.has_fringe = False
-        self.lone: dict[bool, LoneGrey] = {}
-        self.level_errors: dict[bool, float] = {}
+        self.lone: dict[bool, LoneGrey] = {}  # greys that were seen beyond all blur
+        self.level_errors: dict[bool, float] = {}  # standard errors of coatings' greys
 
     def priors(self, sides: Sides) -> Priors:
         """What was learnt, and what was seen on the way."""
@@ -168,7 +176,9 @@ class _Learner(Sampler):
             undershoot = max(undershoot for _, undershoot in self.profiles.values())
             fringe = undershoot / (_DARKEST * min(walls.values()))
             self.edge = replace(self.edge, fringe=fringe)
-        sides = {k: replace(side, wall_level=walls[k]) for k, side in self.sides.items()}
+        sides: Sides = {}
+        for k, side in self.sides.items():
+            sides[k] = replace(side, wall_level=walls[k])
         return replace(self.priors(sides), is_blur_known=False)
 
     def learn_edge(self) -> None:
@@ -192,11 +202,17 @@ class _Learner(Sampler):
             self._fit_fringe(self.sample_of, [])
 
     def learn_lone_greys(self) -> None:
-        """Learn the greys of coatings where nothing else is near, and with them the edge again."""
+        """Learn the greys of coatings where nothing else is near, and with them the edge again.
+
+        Sides that show their grey nowhere keep what they had. A grey that the parameters give is
+        not learnt.
+        """
         if not self._coated_levels():
             return
         if self.params.coating_grey is None:
-            sides = {k: self._narrowed(k, self.sides[k], is_known=False) for k in self.sides}
+            sides: Sides = {}
+            for k, side in self.sides.items():
+                sides[k] = self._narrowed(k, side, is_known=False)
             self.lone = lone_greys(self.columns, self.guide, self.priors(sides))
             for k, grey in self.lone.items():
                 sd = max(grey.spread, 0.02 * grey.level)
@@ -210,23 +226,24 @@ class _Learner(Sampler):
     def learn_thin_greys(self) -> list[bool]:
         """Learn the greys of coatings that are nowhere thick; return the sides with a thick one.
 
-        Coatings whose grey was set or seen alone are in neither. Where a fringe reaches through all
-        of a coating, columns with their fringe show its grey.
+        ``True`` is the side at the high end. Coatings whose grey was set or seen alone are in
+        neither. Where a fringe reaches through all of a coating, columns with their fringe show its
+        grey.
         """
         unknown_sides = self._unknown_sides()
         # A thick coating is seen alone by `lone_greys`, which stays farther from the faces where a
         # fringe is wider than the blur: one may be left there.
-        thick_sides = [k for k in unknown_sides if self.edge.fringe and not self._is_thin(k)]
-        thin_sides = [k for k in unknown_sides if k not in thick_sides]
+        is_thin = {k: not self.edge.fringe or self._is_thin(k) for k in unknown_sides}
+        thin_sides = [k for k in unknown_sides if is_thin[k]]
         if thin_sides:
             seen_sides = self.sides
             fit_thin = self._fit_fringe if self.has_fringe else self._fit_thin
             fit_thin(self.quiet(self.sample_of, self.edge.width), thin_sides)
             # How far a grey goes beyond what was seen of it is known to a half.
             for k in thin_sides:
-                beyond_seen = self.sides[k].level[2] - seen_sides[k].level[2]
-                self.level_errors[k] = 0.5 * abs(float(beyond_seen))
-        return thick_sides
+                beyond_seen = self.sides[k].grey - seen_sides[k].grey
+                self.level_errors[k] = 0.5 * abs(beyond_seen)
+        return [k for k in unknown_sides if not is_thin[k]]
 
     def _unknown_sides(self) -> list[bool]:
         """Coated sides whose grey was neither set nor seen."""
@@ -237,8 +254,8 @@ class _Learner(Sampler):
     def narrowed_sides(self, thick_sides: list[bool]) -> Sides:
         """Narrow all sides; the greys of coatings are known but for those of thick ones."""
         sides: Sides = {}
-        for k in self.sides:
-            side = self._narrowed(k, self.sides[k], is_known=k not in thick_sides)
+        for k, learnt_side in self.sides.items():
+            side = self._narrowed(k, learnt_side, is_known=k not in thick_sides)
             if self.params.coating_grey is not None:
                 side = self._coated_or_bare(k, side)
             level_error = self.level_errors.get(k, 0.0)
@@ -246,7 +263,7 @@ class _Learner(Sampler):
         return sides
 
     def _coated_levels(self) -> list[float]:
-        return [float(side.level[2]) for side in self.sides.values() if side.coated]
+        return [side.grey for side in self.sides.values() if side.coated]
 
     def _base(self, sample: Sample) -> Pair:
         """Level of the base above the air, and how much it varies from place to place."""
@@ -257,17 +274,18 @@ class _Learner(Sampler):
                 "The core of the sheet is not lighter than the air around it. Check `sheet_grey`."
             )
         variance = mad_sd(core_grey) ** 2 - self.noise**2
-        return level, float(np.sqrt(max(variance, (0.05 * level) ** 2)))
+        least_variance = (0.05 * level) ** 2
+        return level, float(np.sqrt(max(variance, least_variance)))
 
     def _core_grey(self, sample: Sample) -> Floats:
         depth_shares = np.linspace(*CORE, _DEPTHS)
         outer = sample.outer[0][:, None]
         depth = outer + (sample.opposite[0][:, None] - outer) * depth_shares
-        core_grey = _grey_at(sample.grey[0], np.rint(depth).astype(int)).astype(float)
-        return core_grey[np.isfinite(core_grey)]
+        core_grey = _grey_at(sample.grey[0], np.rint(depth).astype(int))
+        return core_grey[np.isfinite(core_grey)].astype(float)
 
     def _base_texture(self) -> float:
-        """Return the variance of the base's grey along a column.
+        """Return the variance of the base's grey along a column, per voxel.
 
         It is that of a sample whose neighbours vary by themselves.
 
@@ -278,12 +296,13 @@ class _Learner(Sampler):
         middle = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)
         core_index = middle[:, None] + np.arange(-3, 3)
         grey = _grey_at(sample.grey[0], core_index).astype(float)
-        outer, inner = grey.reshape(-1, 2, 3).mean(axis=2).T
-        difference = inner - outer
+        halves = grey.reshape(-1, 2, 3).mean(axis=2)
+        difference = halves[:, 1] - halves[:, 0]
         difference = difference[np.isfinite(difference)]
         if not difference.size:
             return 0.0
         usual = np.clip(difference, *np.percentile(difference, [1, 99]))
+        # A mean of three varies by a third, and the difference of two means twice as much.
         return _BELOW_FACE * 3.0 * 0.5 * float(np.var(usual))
 
     def _wall_levels(self) -> dict[bool, float]:
@@ -324,14 +343,17 @@ class _Learner(Sampler):
 
         And by how much the air just outside is darker than the air.
         """
-        grey, outer = sample.grey[0], sample.outer[0]
-        start_index = np.array([self._start(*column) for column in zip(grey, outer, strict=True)])
+        grey = sample.grey[0]
+        outer = sample.outer[0]
+        start_index = np.array([*map(self._start, grey, outer)])
         has_start = start_index > 0
         half_depth = int(np.median(sample.opposite[0] - outer)) // 2
-        depth_index = start_index[has_start][:, None] + np.arange(-_OUTSIDE, max(half_depth, 2))
+        from_start = np.arange(-_OUTSIDE, max(half_depth, 2))
+        depth_index = start_index[has_start][:, None] + from_start
         profile = np.nanmedian(_grey_at(grey[has_start], depth_index), axis=0)
-        undershoot = 0.0 if self.embedded_level else max(-float(profile[:_OUTSIDE].min()), 0.0)
-        return profile[_OUTSIDE:], undershoot
+        # Amid other material there is no air that could be darker.
+        darkest = 0.0 if self.embedded_level else float(profile[:_OUTSIDE].min())
+        return profile[_OUTSIDE:], max(-darkest, 0.0)
 
     def _start(self, grey: Singles, expected: float) -> int:
         """First sample of a column that is no air; not above 0 for none."""
@@ -345,11 +367,16 @@ class _Learner(Sampler):
     def _first_side(self, profile: Floats, undershoot: float) -> Side:
         """Look for a coating in the median profile below the face; wide spreads.
 
-        A fringe that darkens the air outside lightens what lies inside by as much. What is no
-        lighter than the lightest tenth of the core is its walls.
+        ``profile``, ``undershoot``: as :meth:`_profile` gives them, above the air. A fringe that
+        darkens the air outside lightens what lies inside by as much. What is no lighter than the
+        lightest tenth of the core is its walls.
         """
-        base_level, base_sd = self.base_level, self.base_sd
-        peak_level = float(profile[: max(2, int(0.8 * profile.size))].max())
+        base_level = self.base_level
+        base_sd = self.base_sd
+        # The deepest fifth may show the other side of a thin sheet.
+        outer_count = max(2, int(0.8 * profile.size))
+        peak_level = float(profile[:outer_count].max())
+        # A normal distribution has a tenth of its values beyond 1.28 standard deviations.
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
         least_level = 1.25 * (1.2 * solid_level if self.is_separated else solid_level)
@@ -389,17 +416,23 @@ class _Learner(Sampler):
         return float(np.argmax(profile > 0.5 * (level + peak_level)))
 
     def _fit_blur(self) -> None:
-        """Learn the width of the blur with which the staircase fits the sample best."""
+        """Learn the width of the blur with which the staircase fits the sample best.
+
+        With the fringe that the parameters give, or none.
+        """
         fringe = 0.0 if isinstance(self.params.fringe, str) else self.params.fringe
         trial_edges = [Edge(width=float(width), fringe=fringe) for width in _WIDTHS]
-        costs = np.sum([self._mean_costs(k, trial_edges) for k in self.sample_of], axis=0)
+        costs_by_side = [self._mean_costs(k, trial_edges) for k in self.sample_of]
+        costs = np.sum(costs_by_side, axis=0)
         best_index = int(np.argmin(costs))
         shift = 0.0
+        # The lowest point of the parabola through the least cost and its neighbours.
         if 0 < best_index < costs.size - 1 and np.isfinite(costs[best_index + 1]):
             a, b, c = costs[best_index - 1 : best_index + 2]
             curvature = max(a - 2 * b + c, 1e-12)
             shift = np.clip(0.5 * (a - c) / curvature, -1, 1)
-        factor = np.exp(shift * np.log(_WIDTHS[1] / _WIDTHS[0]))
+        log_step = np.log(_WIDTHS[1] / _WIDTHS[0])
+        factor = np.exp(shift * log_step)
         self.edge = Edge(width=float(_WIDTHS[best_index] * factor), fringe=fringe)
 
     def _mean_costs(self, from_high: bool, trial_edges: list[Edge]) -> list[float]:
@@ -408,16 +441,20 @@ class _Learner(Sampler):
         A blur so wide that it reaches the end of every column cannot be tried.
         """
         subset = self.sample_of[from_high].thinned(4)
-        fits = [self.fit(subset, self.sides[from_high], edge)[4] for edge in trial_edges]
+        side = self.sides[from_high]
+        fits = [self.fit(subset, side, edge)[4] for edge in trial_edges]
         costs = [cost[np.isfinite(cost)] for cost in fits]
         max_cost = min((cost_limit(cost) for cost in costs if cost.size), default=0.0)
-        return [float(np.mean(np.minimum(c, max_cost))) if c.size else np.inf for c in costs]
+        means = [np.minimum(cost, max_cost).mean() if cost.size else np.inf for cost in costs]
+        return [*map(float, means)]
 
     def _is_thin(self, from_high: bool) -> bool:
         """Tell if hardly a column shows the coating's own grey between its two edges."""
         sample = self.sample_of[from_high]
-        thickness = self.fit(sample, self.sides[from_high], self.edge)[1] * sample.cos_tilt
-        return float(np.mean(thickness > 2.0 * RADII[-1] * self.edge.width)) < _THICK_SHARE
+        fit = self.fit(sample, self.sides[from_high], self.edge)
+        thickness = fit[1] * sample.cos_tilt
+        is_thick = thickness > 2.0 * RADII[-1] * self.edge.width
+        return float(np.mean(is_thick)) < _THICK_SHARE
 
     def _coated_or_bare(self, from_high: bool, side: Side) -> Side:
         """Return a side whose coating's grey was set, without it where half of it is thinner.
@@ -425,16 +462,17 @@ class _Learner(Sampler):
         A wall below a coating hides a thin one, and is left out.
         """
         sample = self.sample_of[from_high]
-        thickness = self.fit(sample, replace(side, wall_below=0.0), self.edge)[1]
-        if float(np.nanmedian(thickness)) > 0.15 * self.edge.width:
+        fit = self.fit(sample, replace(side, wall_below=0.0), self.edge)
+        if float(np.nanmedian(fit[1])) > 0.15 * self.edge.width:
             return side
-        bare_side = _side(0.0, self.base_level, -1.0, float(side.spread[3]), coated=False)
+        bare_side = _side(0.0, self.base_level, -1.0, side.spread[3], coated=False)
         return self._narrowed(from_high, bare_side, is_known=True)
 
     def _narrowed(self, from_high: bool, side: Side, *, is_known: bool) -> Side:
-        """Narrow what is expected to what thick layers and the base below them show.
+        """Narrow what is expected of a side to what thick layers and the base below them show.
 
-        ``is_known``: the coating's grey is, from elsewhere.
+        ``is_known``: whether the coating's grey is, from elsewhere; then only its spread is
+        narrowed. Spreads are those of the columns' fits by the MAD, and a fifth more.
         """
         sample = self.sample_of[from_high]
         level = side.level.copy()
@@ -444,17 +482,20 @@ class _Learner(Sampler):
             fit = self.fit(sample, side, self.edge)
             has_face = np.isfinite(fit[0])
             if side.coated and is_known:
-                spread[2] = max(spread[2], 0.02 * level[2]) if side.lone else 0.02 * level[2]
+                seen_spread = spread[2] if side.lone else 0.0
+                spread[2] = max(seen_spread, 0.02 * level[2])
                 side = replace(side, wall_below=self._wall_below(sample, fit, side))
             elif side.coated:
-                # Shows its own grey.
+                # A layer that is thicker than the blur reaches shows its own grey.
                 is_thick = has_face & (fit[1] * sample.cos_tilt > 3.0 * self.edge.width)
                 if np.count_nonzero(is_thick) < 50:
                     is_thick = has_face & (fit[1] >= np.nanpercentile(fit[1], 75))
-                level[2] = float(np.median(fit[2][is_thick]))
-                spread[2] = max(1.2 * mad_sd(fit[2][is_thick]), 0.01 * level[2])
-            level[3] = float(np.median(fit[3][has_face]))
-            spread[3] = max(1.2 * mad_sd(fit[3][has_face]), 0.03 * level[3])
+                coating_grey = fit[2][is_thick]
+                level[2] = np.median(coating_grey)
+                spread[2] = max(1.2 * mad_sd(coating_grey), 0.01 * level[2])
+            base_grey = fit[3][has_face]
+            level[3] = np.median(base_grey)
+            spread[3] = max(1.2 * mad_sd(base_grey), 0.03 * level[3])
         return side
 
     def _wall_below(self, sample: Sample, fit: Floats, side: Side) -> float:
@@ -463,63 +504,57 @@ class _Learner(Sampler):
         A base of walls and pores is solid there, and the more pores it has the more its grey varies
         from place to place. What noise adds to that is taken off. 0 for a base that varies little
         beyond it, which is even, and for one so thin that its edges blur into each other, which
-        shows no pores.
+        shows no pores. ``fit`` (5, 1, n): of the sample, as :meth:`fit` gives it.
         """
         width = self.edge.width
         varied = mad_sd(fit[3])
         thickness = float(np.nanmedian(fit[1]))
-        base_px = float(np.nanmedian((sample.opposite - sample.outer) * sample.cos_tilt))
+        sheet = (sample.opposite - sample.outer) * sample.cos_tilt
+        base_px = float(np.nanmedian(sheet)) - 2.0 * thickness
         # The fit goes 3 widths below the interface, and so far reaches the blur of the other one;
         # the coarse sheet is a width larger on either side.
-        if not varied > 0 or base_px - 2.0 * thickness < 8.0 * width:
+        if not varied > 0 or base_px < 8.0 * width:
             return 0.0
-        samples = int(thickness + 6.0 * width) + 2
+        last_sample = int(thickness + 6.0 * width) + 1
         # How a fit's base grey varies by noise: from its normal equations, which the greys of the
         # column have no part in, less the priors of the two greys.
         point = np.array([3.0 * width, thickness, *side.level[2:]])
         matrix = np.zeros((4, 4))
-        no_grey = np.zeros(samples, np.float32)
-        _fit_kernels.evaluate(
-            no_grey,
-            0,
-            samples - 1,
-            0.0,
-            self.scatter,
-            width,
-            point,
-            side.level,
-            side.spread,
-            True,
-            matrix,
-            np.zeros(4),
-            None,
-            1.0,
-            0.0,
-            0.0,
-        )
+        column = (np.zeros(last_sample + 1, np.float32), 0, last_sample)
+        blur = (0.0, self.scatter, width)  # after the level of the air
+        greys = (side.level, side.spread, True)
+        plain = (None, 1.0, 0.0, 0.0)  # no fringe, and no wall below the coating
+        _fit_kernels.evaluate(*column, *blur, point, *greys, matrix, np.zeros(4), *plain)
         precision = matrix + np.tril(matrix, -1).T
-        by_columns = precision - np.diag([0.0, 0.0, *side.spread[2:] ** -2.0])
-        covariance = np.linalg.inv(precision) @ by_columns @ np.linalg.inv(precision)
+        by_priors = np.diag([0.0, 0.0, *side.spread[2:] ** -2.0])
+        inverse = np.linalg.inv(precision)
+        covariance = inverse @ (precision - by_priors) @ inverse
         by_noise = float(covariance[3, 3])
-        return _WALL * float(np.sqrt(varied**2 - by_noise)) if varied**2 > 2.0 * by_noise else 0.0
+        if varied**2 <= 2.0 * by_noise:
+            return 0.0
+        return _WALL * float(np.sqrt(varied**2 - by_noise))
 
     def _undershoots(self) -> bool:
-        """Whether air beside the faces is darker than farther away.
+        """Whether air beside the faces is darker than farther away, as a fringe makes it.
 
-        A blur that is roughly right will do.
+        By much more than chance, and hardly where the fringe would be over. A blur that is roughly
+        right will do.
         """
         if self.params.fringe != "auto" or self.embedded_level:
             return False  # what lies beside such a sheet is no air
+        # At the distances near the face, and where a fringe is over.
         total_weight = weighted_sum = np.zeros(len(_NEAR) + 1)
         for k, sample in self.sample_of.items():
             undershoots = self._undershoots_by_row(sample, self.sides[k])
             row_count = np.isfinite(undershoots).sum(axis=1)
             has_rows = row_count >= _ROWS
             undershoots = np.where(has_rows[:, None], undershoots, 0.0)
-            error = np.nanstd(undershoots, axis=1) / np.sqrt(np.maximum(row_count - 1, 1))
+            degrees = np.maximum(row_count - 1, 1)
+            error = np.nanstd(undershoots, axis=1) / np.sqrt(degrees)
             # Sides whose contrast differs are weighted by what their rows' scatter tells.
             is_clear = has_rows & (error > 0)
-            weight = np.where(is_clear, 1.0 / np.maximum(error, 1e-12) ** 2, 0.0)
+            precision = 1.0 / np.maximum(error, 1e-12) ** 2
+            weight = np.where(is_clear, precision, 0.0)
             total_weight = total_weight + weight
             weighted_sum = weighted_sum + weight * np.nanmean(undershoots, axis=1)
         if not total_weight.all():
@@ -533,14 +568,15 @@ class _Learner(Sampler):
     def _undershoots_by_row(self, sample: Sample, side: Side) -> Floats:
         """Grey of the air near the faces above that farther away, as a share of the contrast.
 
-        (distances, rows).
+        (distances, rows): at the distances of ``_NEAR`` and ``_BETWEEN``, in widths of the blur
+        from the face, for each sampled row; NaN where a row shows too little of the air there.
         """
         face_depth = self.fit(sample, side, self.edge)[0, 0]
         unit_px = max(self.edge.width, 1.0)
         cos_tilt = sample.cos_tilt[0]
-        first_depth = face_depth - unit_px * _FAR[1] / cos_tilt
-        first_index = np.where(np.isfinite(face_depth), first_depth, 0.0).astype(int)
-        depth_count = int(np.ceil(unit_px * _FAR[1] / float(cos_tilt.min()))) + 2
+        farthest_px = unit_px * _FAR[1] / cos_tilt
+        first_index = np.nan_to_num(face_depth - farthest_px).astype(int)
+        depth_count = int(np.ceil(farthest_px.max())) + 2
         depth_index = first_index[:, None] + np.arange(depth_count)
         grey = _grey_at(sample.grey[0], depth_index)
         distance = (face_depth[:, None] - depth_index) * cos_tilt[:, None] / unit_px
@@ -559,18 +595,22 @@ class _Learner(Sampler):
             return np.where(column_count >= _FEW_COLUMNS, mean, np.nan)
 
         near_grey = np.array([mean_grey(*limits) for limits in (*_NEAR, _BETWEEN)])
-        return (near_grey - mean_grey(*_FAR)) / side.level[2 if side.coated else 3]
+        contrast = side.level[2 if side.coated else 3]
+        return (near_grey - mean_grey(*_FAR)) / contrast
 
     def _fit_fringe(self, samples: Samples, thin_sides: list[bool]) -> None:
         """Learn the blur, fringe and greys with which the staircase fits the sample best.
 
-        The greys are those of coatings that are nowhere thick.
+        The greys are those of coatings that are nowhere thick, on the sides ``thin_sides``.
 
         All stays as it was where the best has no fringe.
         """
-        sides, width = self.sides, self.edge.width
+        sides = self.sides
+        width = self.edge.width
         misfit = self._misfit(samples, thin_sides, _WINDOW * max(width, 1.0))
 
+        # The simplex moves the logarithm of the blur over what it was, the size of the fringe, the
+        # logarithm of its width over the usual one, and those of thin coatings' greys.
         def trial_of(vector: Floats) -> tuple[Edge, Sides]:
             blur_px = width * float(np.exp(vector[0]))
             fringe = max(float(vector[1]), 0.0)
@@ -582,69 +622,82 @@ class _Learner(Sampler):
             # Where the width of the fringe shows little it is the usual one.
             width_penalty = (float(vector[2]) / 0.35) ** 2
             penalty = width_penalty + float(np.sum(vector[3:] ** 2))
-            return misfit(*trial_of(vector)) + 1e-4 * penalty + max(-float(vector[1]), 0.0)
+            below_zero = max(-float(vector[1]), 0.0)
+            return misfit(*trial_of(vector)) + 1e-4 * penalty + below_zero
 
-        steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin_sides))
+        thin_count = len(thin_sides)
+        steps = np.diag([0.1, 0.08, 0.25] + [0.1] * thin_count)
         # Logarithms of a thin coating's grey over the brightest that was seen.
         start_shares = (0.0, 0.2, 0.45) if thin_sides else (0.0,)
-        starts = [np.array([0.1, 0.1, 0.0] + [share] * len(thin_sides)) for share in start_shares]
+        starts = [np.array([0.1, 0.1, 0.0] + [share] * thin_count) for share in start_shares]
         optima = [_simplex(cost, start, steps, 90) for start in starts]
-        best_edge, best_sides = trial_of(min(optima, key=lambda optimum: float(optimum.fun)).x)
+        best = min(optima, key=lambda optimum: float(optimum.fun))
+        best_edge, best_sides = trial_of(best.x)
         if best_edge.fringe > 0.005:
             self.edge, self.sides = best_edge, best_sides
 
     def _fit_thin(self, samples: Samples, thin_sides: list[bool]) -> None:
         """Learn the blur and greys with which the staircase fits the sample best.
 
-        The greys are those of coatings that are nowhere thick.
+        The greys are those of coatings that are nowhere thick, on the sides ``thin_sides``.
 
         Grey and thickness of one thin layer can hardly be separated; the shape of many profiles
         helps a little.
         """
-        sides, edge = self.sides, self.edge
+        sides = self.sides
+        edge = self.edge
         misfit = self._misfit(samples, thin_sides, _WINDOW * edge.width)
 
+        # The simplex moves logarithms: of the blur, and of the greys, over what they were.
         def trial_of(vector: Floats) -> tuple[Edge, Sides]:
-            blurred_edge = replace(edge, width=edge.width * float(np.exp(vector[0])))
+            blur_px = edge.width * float(np.exp(vector[0]))
+            blurred_edge = replace(edge, width=blur_px)
             return blurred_edge, _brighter(sides, thin_sides, vector[1:])
 
         def cost(vector: Floats) -> float:
             # A layer's grey is seldom far from the brightest that was seen of it.
-            return misfit(*trial_of(vector)) + 1e-4 * float(np.sum(vector**2))
+            penalty = float(np.sum(vector**2))
+            return misfit(*trial_of(vector)) + 1e-4 * penalty
+
+        thin_count = len(thin_sides)
 
         def cost_of_width(log_width: float, share: float) -> float:
-            return cost(np.array([log_width, *[share] * len(thin_sides)]))
+            return cost(np.array([log_width, *[share] * thin_count]))
 
         # Brighter layers with a wider blur look nearly the same: the search goes along that valley
         # first.
         least_cost = np.inf
-        start = np.zeros(1 + len(thin_sides))
+        start = np.zeros(1 + thin_count)
+        bounded = partial(optimize.minimize_scalar, bounds=(-0.2, 0.6), method="bounded")
         for share in (0.0, 0.15, 0.3, 0.45, 0.6, 0.75):
-            optimum: Any = optimize.minimize_scalar(
-                cost_of_width,
-                args=(share,),
-                bounds=(-0.2, 0.6),
-                method="bounded",
-                options={"xatol": 0.01},
-            )
+            optimum: Any = bounded(cost_of_width, args=(share,), options={"xatol": 0.01})
             if optimum.fun < least_cost:
                 least_cost = float(optimum.fun)
-                start = np.array([float(optimum.x), *[share] * len(thin_sides)])
-        steps = np.diag([0.03, *[0.08] * len(thin_sides)])
+                start = np.array([float(optimum.x), *[share] * thin_count])
+        steps = np.diag([0.03, *[0.08] * thin_count])
+        # The first corner goes along the valley: brighter layers with a wider blur.
         steps[0, 1:] = 0.08
-        self.edge, self.sides = trial_of(_simplex(cost, start, steps, 80).x)
+        best = _simplex(cost, start, steps, 80)
+        self.edge, self.sides = trial_of(best.x)
 
     def _misfit(
         self, samples: Samples, thin_sides: list[bool], window: float
     ) -> Callable[[Edge, Sides], float]:
-        """Return the mean cost of a column as a function of edge and sides."""
-        subset = {k: sample.thinned(3 if thin_sides else 4) for k, sample in samples.items()}
-        column_count = max(sum(sample.outer.size for sample in subset.values()), 1)
+        """Return the mean cost of a column as a function of edge and sides.
+
+        Of a subset of the samples, more of them where thin coatings are learnt. No column counts
+        for more than ``cost_limit`` of the fits with the present edge and sides. ``window``: width
+        of the blur, in voxels, after which samples are chosen, the same for all edges.
+        """
+        every = 3 if thin_sides else 4
+        subset = {k: sample.thinned(every) for k, sample in samples.items()}
+        column_count = sum(sample.outer.size for sample in subset.values())
 
         def costs_of(edge: Edge, sides: Sides) -> dict[bool, Floats]:
             return {k: self.fit(sample, sides[k], edge, window)[4] for k, sample in subset.items()}
 
-        max_costs = {k: cost_limit(cost) for k, cost in costs_of(self.edge, self.sides).items()}
+        present_costs = costs_of(self.edge, self.sides)
+        max_costs = {k: cost_limit(cost) for k, cost in present_costs.items()}
 
         def misfit(edge: Edge, sides: Sides) -> float:
             total = 0.0
@@ -662,7 +715,7 @@ def _brighter(sides: Sides, thin_sides: list[bool], shares: Floats) -> Sides:
     """
     brighter = dict(sides)
     for k, share in zip(thin_sides, shares, strict=True):
-        grey = sides[k].level[2] * float(np.exp(share))
+        grey = sides[k].grey * float(np.exp(share))
         brighter[k] = _with_coating(sides[k], grey, 1e-3 * grey)
     return brighter
 
@@ -670,10 +723,7 @@ def _brighter(sides: Sides, thin_sides: list[bool], shares: Floats) -> Sides:
 def _simplex(
     cost: Callable[[Floats], float], start: Floats, steps: Floats, trials: int
 ) -> optimize.OptimizeResult:
+    """Look for the least cost from a start, with so many trials at most; ``steps`` (n, n)."""
     corners = np.vstack([start, start + steps])
-    return optimize.minimize(
-        cost,
-        start,
-        method="Nelder-Mead",
-        options={"initial_simplex": corners, "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials},
-    )
+    options: Any = {"initial_simplex": corners, "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials}
+    return optimize.minimize(cost, start, method="Nelder-Mead", options=options)

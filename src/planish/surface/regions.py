@@ -15,6 +15,8 @@ def regions(
 ) -> tuple[Bools, Bools, Bools]:
     """Return where the sheet is, the rims of its holes and edges, and its outline, holes filled.
 
+    All (rows, cols). ``is_sheet``: columns in which a sheet was seen; ``pitch``: of rows and of
+    columns, um.
     A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of
     the sheet or of the field of view. A gap of columns that run out of the volume (``runs_out``) is
     neither: the sheet goes on there.
@@ -22,7 +24,8 @@ def regions(
     pitch_um = float(np.sqrt(pitch[0] * pitch[1]))
     # Single columns without a face are gaps of the measurement; only larger ones are gaps of the
     # sheet.
-    radius_px = max(1, round(12.0 / pitch_um)) if min(is_sheet.shape) * pitch_um > 100 else 1
+    is_wide = min(is_sheet.shape) * pitch_um > 100
+    radius_px = max(1, round(12.0 / pitch_um)) if is_wide else 1
     padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
     inner = (slice(2 * radius_px, -2 * radius_px),) * 2
     is_closed = ndimage.binary_closing(padded, _disc(radius_px))
@@ -48,11 +51,16 @@ def regions(
 def doubtful(
     guide: Guide, coarse_sheet: CoarseSheet, width: float, depth: int
 ) -> tuple[Bools, Bools]:
-    """Columns where the sheet touches another or itself, and where it may run out of the volume."""
+    """Columns where the sheet touches another or itself, and where it may run out of the volume.
+
+    Both (rows, cols). ``width`` of the blur and ``depth`` of the columns in voxels.
+    """
     extent = (guide.high - guide.low) * guide.cos_tilt
     is_finite = np.isfinite(extent)
-    typical_extent = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
-    is_touching = extent > MERGED * typical_extent + 2.0 * width
+    is_touching = np.zeros(extent.shape, bool)
+    if is_finite.any():
+        typical_extent = float(np.median(extent[is_finite]))
+        is_touching = extent > MERGED * typical_extent + 2.0 * width
     is_touching |= flags_to_columns(coarse_sheet.is_touching, coarse_sheet.block, extent.shape)
     if is_touching.any():
         # The columns beside whose faces it disturbs.
@@ -82,41 +90,50 @@ def half_closed(is_sheet: Bools, runs_out: Bools, pitch: Pair) -> Floats:
     ellipse of all: what has half closed with a straight edge is a smaller ellipse of its own.
     ``is_sheet``: columns with a sheet; ``runs_out``: columns in which it goes on beyond the volume.
     """
-    hole_centres, open_um2, ellipse_um2 = np.split(
-        all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1
-    )
-    typical_um2 = float(np.median(ellipse_um2)) if len(ellipse_um2) >= 3 else 0.0
-    return hole_centres[(open_um2 < 0.7 * np.maximum(ellipse_um2, typical_um2))[:, 0]]
+    holes = all_holes(is_sheet | runs_out, pitch)
+    open_um2 = holes[:, 2]
+    ellipse_um2 = holes[:, 3]
+    typical_um2 = float(np.median(ellipse_um2)) if len(holes) >= 3 else 0.0
+    is_half_closed = open_um2 < 0.7 * np.maximum(ellipse_um2, typical_um2)
+    return holes[is_half_closed, :2]
 
 
 def all_holes(in_sheet: Bools, pitch: Pair) -> Floats:
     """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map, (n, 4).
 
     Row and column of the middle; area without sheet, and of the ellipse with the second moments of
-    the convex outline.
+    the convex outline, in um2.
     """
-    radius_px = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
+    pitch_um = float(np.sqrt(pitch[0] * pitch[1]))
+    radius_px = max(1, round(3.0 / pitch_um))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.
     in_gap = ndimage.binary_opening(~in_sheet, np.ones((2, 2), bool))
     gap_labels, _ = ndimage.label(ndimage.binary_dilation(in_gap, iterations=radius_px))
     holes: list[tuple[float, ...]] = []
-    for k, bounds in enumerate(ndimage.find_objects(gap_labels), start=1):
-        if any(s.start == 0 or s.stop == n for s, n in zip(bounds, in_sheet.shape, strict=True)):
+    border_labels = {*gap_labels[[0, -1]].flat, *gap_labels[:, [0, -1]].flat}
+    for k, (rows, cols) in enumerate(ndimage.find_objects(gap_labels), start=1):
+        if k in border_labels:
             continue
-        points = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k))
+        in_hole = in_gap[rows, cols] & (gap_labels[rows, cols] == k)
+        points = np.argwhere(in_hole)
         points_um = points.astype(float) * np.array(pitch)
+        # Fewer than eight columns, or columns in one line, show no outline.
         if len(points) < 8 or np.ptp(points_um, axis=0).min() <= 0:
             continue
         ellipse_um2 = _ellipse(points_um)
         if np.pi / 4 * 40.0**2 <= ellipse_um2 <= np.pi / 4 * _HOLE_UM**2:
             row, col = points_um.mean(axis=0) / pitch
             open_um2 = len(points) * pitch[0] * pitch[1]
-            holes.append((bounds[0].start + row, bounds[1].start + col, open_um2, ellipse_um2))
+            holes.append((rows.start + row, cols.start + col, open_um2, ellipse_um2))
     return np.array(holes).reshape(-1, 4)
 
 
 def _ellipse(points: Floats) -> float:
-    """Area of the ellipse with the second moments of the convex hull of ``points``."""
+    """Area of the ellipse with the second moments of the convex hull of ``points`` (n, 2).
+
+    Area, middle and moments of a polygon are sums over its edges, from (x, y) to (x1, y1). 0 where
+    the points have no hull.
+    """
     try:
         hull = points[spatial.ConvexHull(points).vertices]
     except spatial.QhullError:

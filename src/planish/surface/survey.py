@@ -38,7 +38,7 @@ class Survey:
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
-    """Find the sheet roughly.
+    """Find the sheet roughly, and what is known of the volume's greys before any fit.
 
     VolumeError if there is none, several, or one that fills the volume from end to end.
     """
@@ -58,7 +58,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     # voxels crowd there.
     block_columns = blocks.reshape(-1, depth)
     end_grey = _ends(block_columns, np.isfinite(block_columns))
-    in_field = np.full(profiles.shape, True) if padding is None else profiles != padding
+    in_field = np.ones(profiles.shape, bool) if padding is None else profiles != padding
     end_voxels = _ends(profiles, in_field)
     scatter = None
     if choice.seed is not None:
@@ -96,10 +96,12 @@ def survey_labels(
     shares = reading.blocks(None)[1]
     choice = make_choice(columns, reading.block, shares.shape, params)
     coarse_sheet = search_sheet(shares, shares > 0.5, 0.5, choice)
-    return coarse_sheet, float(1.0 - (shares > 0).any(axis=2).mean())
+    has_sheet = (shares > 0).any(axis=2)
+    return coarse_sheet, float(1.0 - has_sheet.mean())
 
 
 def _block(columns: Columns) -> tuple[int, Shape2D]:
+    """Columns along the edge of a block, and steps between sampled rows and sampled columns."""
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(
@@ -114,7 +116,8 @@ def _block(columns: Columns) -> tuple[int, Shape2D]:
     if rows * cols < 1_500_000:  # columns from which on fewer rows are sampled
         return block, (stride, stride)
     # Each row costs as much as the chunks that it runs through: few rows, and more columns of each.
-    return block, (max(rows // 24, 1), max(cols * 24 // _SAMPLE, 1))
+    col_stride = max(cols * 24 // _SAMPLE, 1)
+    return block, (max(rows // 24, 1), col_stride)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,26 +146,27 @@ class _Reading:
 
 
 def _read(columns: Columns, engine: Engine) -> _Reading:
-    """Read all columns once."""
+    """Read all columns once, and join what their tiles give."""
     block, stride = _block(columns)
     rows, cols, depth = columns.shape
     block_shape = max(rows // block, 1), max(cols // block, 1), depth
     sample_shape = -(-rows // stride[0]), -(-cols // stride[1]), depth
-    fields: dict[str, Array] = {
-        "means": np.empty(block_shape, np.float32),
-        "holds_corner": np.empty(block_shape, bool),
-        "profiles": np.empty(sample_shape, columns.volume.dtype),
-    }
+    fields: dict[str, Array] = {}
+    fields["means"] = np.empty(block_shape, np.float32)
+    fields["holds_corner"] = np.empty(block_shape, bool)
+    fields["profiles"] = np.empty(sample_shape, columns.volume.dtype)
     missing_count = 0.0
-    corner = float(columns.voxels(Tile(0, 1, 0, 1), slice(1))[0, 0, 0])
+    first_voxel = columns.voxels(Tile(0, 1, 0, 1), slice(1))
+    corner = float(first_voxel.flat[0])
     job = columns, block, stride, corner
     tiles = _block_tiles(columns, engine, block)
     for tile, sums in engine.map("survey", _read_tile, lambda _tile: job, tiles):
         for name, field in fields.items():
-            steps = stride if name == "profiles" else (block, block)
-            row, col = (-(-start // n) for start, n in zip(tile[::2], steps, strict=True))
+            row_step, col_step = stride if name == "profiles" else (block, block)
             part = sums[name]
-            field[row : row + part.shape[0], col : col + part.shape[1]] = part
+            row = -(-tile.r0 // row_step)
+            col = -(-tile.c0 // col_step)
+            field[row:, col:][: part.shape[0], : part.shape[1]] = part
         missing_count += float(sums["missing"])
     missing_share = missing_count / (rows * cols * depth * columns.step**2)
     return _Reading(**fields, missing_share=missing_share, block=block)
@@ -183,7 +187,8 @@ def _block_tiles(columns: Columns, engine: Engine, block: int) -> list[Tile]:
 def _read_tile(job: tuple[Columns, int, Shape2D, float], tile: Tile) -> Array:
     """Part of a :class:`_Reading` that a tile gives, as one record.
 
-    ``missing`` counts its missing voxels.
+    ``missing`` counts its missing voxels. The job: the columns, the edge of a block in them, the
+    steps between sampled rows and columns, and the value that may be that of the padding.
     """
     columns, block, stride, corner = job
     voxels = columns.voxels(tile)
@@ -193,22 +198,23 @@ def _read_tile(job: tuple[Columns, int, Shape2D, float], tile: Tile) -> Array:
     axis_order = np.argsort(voxels.strides, kind="stable")[::-1]
     sums_shape = np.array([*block_counts, voxels.shape[2]])[axis_order]
     block_sides = np.array([block_px, block_px, 1])[axis_order]
-    sums, missing, holds_corner = (np.zeros(sums_shape, dtype) for dtype in (float, float, bool))
+    sums, missing = np.zeros((2, *sums_shape))
+    holds_corner = np.zeros(sums_shape, bool)
     stored = np.ascontiguousarray(voxels.transpose(axis_order))
     block_sums(stored, tuple(block_sides.tolist()), corner, sums, missing, holds_corner)
     column_order = np.argsort(axis_order)
+    # The last block of an axis takes what is left over.
     counts = zip(block_counts, voxels.shape, strict=False)
     block_widths = [np.diff([*(block_px * np.arange(k)), n]) for k, n in counts]
     # Columns of the sample lie at multiples of the stride in the whole grid.
     starts = zip(tile[::2], stride, strict=True)
     sampled = tuple(slice((-k % n) * columns.step, None, n * columns.step) for k, n in starts)
-    means = sums.transpose(column_order) / np.multiply.outer(*block_widths)[..., None]
-    fields = {
-        "means": means.astype(np.float32),
-        "holds_corner": holds_corner.transpose(column_order),
-        "profiles": voxels[sampled],
-        "missing": missing.sum(),
-    }
+    voxels_of_block = np.multiply.outer(*block_widths)[..., None]
+    means = sums.transpose(*column_order) / voxels_of_block
+    fields = {"means": means.astype(np.float32)}
+    fields["holds_corner"] = holds_corner.transpose(column_order)
+    fields["profiles"] = voxels[sampled]
+    fields["missing"] = missing.sum()
     dtype = [(name, field.dtype, field.shape) for name, field in fields.items()]
     record = np.empty((), dtype)
     for name, field in fields.items():
@@ -228,23 +234,31 @@ def _ends(profiles: Array, inside: Bools) -> Floats:
     first, last = first_and_last(inside[rows])
     first += first > 0
     last -= last < profiles.shape[1] - 1
-    ends = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
-    return np.concatenate([profiles[rows[:, None], k].astype(float) for k in ends])
+    three = np.arange(3)
+    first_ends = profiles[rows[:, None], first[:, None] + three]
+    last_ends = profiles[rows[:, None], last[:, None] - three]
+    return np.concatenate([first_ends, last_ends]).astype(float)
 
 
 def _airy(ends: Floats, voxels: Floats, seed: Floats) -> TwoFields:
-    """Where the columns' two ends differ, keep the one less like the object at the seed."""
-    levels = [mode(half) for half in np.split(ends, [len(ends) // 2])]
-    contrasts = [abs(level - float(np.median(seed))) for level in levels]
-    if abs(levels[0] - levels[1]) < 0.1 * max(contrasts):
+    """Where the columns' two ends differ, keep the one less like the object at the seed.
+
+    ``ends``, ``voxels`` (2 n, 3): of blocks and of single columns, as :func:`_ends` gives them.
+    """
+    halves = np.split(ends, 2)
+    levels = np.array([*map(mode, halves)])
+    contrasts = np.abs(levels - float(np.median(seed)))
+    if np.ptp(levels) < 0.1 * contrasts.max():
         return ends, voxels
     clearest_end = int(np.argmax(contrasts))
-    end_grey = np.split(ends, [len(ends) // 2])[clearest_end]
-    return end_grey, np.split(voxels, [len(voxels) // 2])[clearest_end]
+    return halves[clearest_end], np.split(voxels, 2)[clearest_end]
 
 
 def mode(values: Floats) -> float:
-    """Half-sample mode: the value around which the data crowd, whatever lies beside."""
+    """Half-sample mode: the value around which the data crowd, whatever lies beside.
+
+    Again and again the narrowest half of the values is kept.
+    """
     crowd = np.sort(values[np.isfinite(values)].ravel())
     if crowd.size == 0:
         raise VolumeError(
@@ -269,13 +283,16 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
 
     Reconstructions are round; what lies outside their circle is set to one value, often 0, which is
     not the grey of the air. It differs from air that the export has clipped to one value by three
-    signs, over ``columns`` (n, depth): the step from the padding to what lies inside is sharp, what
-    lies inside differs from it, and something stands out from that in turn. Clipped air passes into
-    the sheet through the blur, and nothing stands out from the sheet.
+    signs, over ``columns`` (n, depth), some of the volume's: the step from the padding to what lies
+    inside is sharp, what lies inside differs from it, and something stands out from that in turn.
+    Clipped air passes into the sheet through the blur, and nothing stands out from the sheet.
     """
+    # The corners lie outside such a circle.
     corner = columns[0, 0]
+    if not np.isfinite(corner) or columns[-1, -1] != corner:
+        return None
     is_padding = columns == corner
-    if not np.isfinite(corner) or columns[-1, -1] != corner or is_padding.mean() < 1e-3:
+    if is_padding.mean() < 1e-3:
         return None
     has_inside = (~is_padding).sum(axis=1) > 12
     if np.count_nonzero(has_inside) < 10:
@@ -290,7 +307,8 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
         # Few columns end in the padding. If others hold nothing else, the circle lies across the
         # columns.
         is_empty = is_padding.all(axis=1)
-        is_across = is_empty.mean() > 0.01 and is_padding[~is_empty][:, 0].mean() <= 0.5
+        starts_empty = is_padding[~is_empty, 0]
+        is_across = is_empty.mean() > 0.01 and starts_empty.mean() <= 0.5
         return padding if is_across else None
     rows = np.flatnonzero(first > 0)
     if rows.size < 10:
@@ -304,7 +322,8 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
 def _is_sharp(profiles: Floats, is_outside: Bools, first: Ints, padding: float) -> bool:
     """Tell if the step from the padding to what lies inside is sharp, and something stands out.
 
-    ``first``: index of the first voxel inside of each profile (n, depth).
+    ``first`` (n,): index of the first voxel inside of each profile (n, depth); ``is_outside`` as
+    these: voxels of the padding, whose value is ``padding``.
     """
     next_index = first[:, None] + np.arange(2, 6)
     inner_index = np.minimum(next_index, profiles.shape[1] - 1)
@@ -313,7 +332,8 @@ def _is_sharp(profiles: Floats, is_outside: Bools, first: Ints, padding: float) 
     scatter = max(mad_sd(inner_grey - inner_level), 1e-9)
     means = (profiles[:, :-2] + profiles[:, 1:-1] + profiles[:, 2:]) / 3
     running_mean = np.where(is_outside[:, 1:-1], inner_level, means)
-    highest = float(np.median(np.max(np.abs(running_mean - inner_level), axis=1)))
+    largest_rises = np.max(np.abs(running_mean - inner_level), axis=1)
+    highest = float(np.median(largest_rises))
     contrast = abs(inner_level - padding)
     first_grey = float(np.median(at_index(profiles, first)))
     is_step = abs(first_grey - inner_level) < 0.2 * contrast and contrast > 3 * scatter
@@ -328,4 +348,7 @@ def voxel_noise(ends: Floats, air: float) -> float:
     if not steps.size:
         return 0.0
     robust_sd = mad_sd(steps) / np.sqrt(2.0)
-    return float(robust_sd if robust_sd > 0 else np.sqrt(np.mean(steps**2) / 2))
+    if robust_sd > 0:
+        return float(robust_sd)
+    # Whole numbers that hardly vary have a median deviation of 0.
+    return float(np.sqrt(np.mean(steps**2) / 2))
