@@ -86,7 +86,8 @@ def assemble(
 ) -> xr.Dataset:
     """Build the result of :func:`planish.surface.find_surfaces`.
 
-    The grey levels in its attributes are left out.
+    The grey levels in its attributes are left out. VolumeError if no column has two faces, or none
+    away from holes.
 
     ``doubt``: columns in which the sheet touches another or itself, and in which it may run out of
     the volume; ``levels``: grey of air and base.
@@ -99,11 +100,14 @@ def assemble(
             "There is no sheet in the volume: no column shows two faces. Check `through` and"
             " `sheet_grey`."
         )
-    heights = {name: np.where(states.has_faces, faces.heights[name], np.nan) for name in _TITLES}
+    heights: NamedFields = {}
+    for name in _TITLES:
+        heights[name] = np.where(states.has_faces, faces.heights[name], np.nan)
     sheet_um = np.abs(heights["top"] - heights["bottom"])
     thickness = float(np.median(sheet_um[states.has_faces]))
     in_sheet, in_rim, in_outline = regions(states.is_sheet, states.runs_out, pitch, params.rim_um)
-    face_mean = np.where(in_sheet & ~in_rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
+    middle = 0.5 * (heights["top"] + heights["bottom"])
+    face_mean = np.where(in_sheet & ~in_rim, middle, np.nan)
     if not np.isfinite(face_mean).any():
         raise VolumeError(
             f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of"
@@ -117,20 +121,21 @@ def assemble(
     if params.envelope_um is not None:
         variables |= _envelopes(heights, sign, pitch, params.envelope_um)
     interface_mean = 0.5 * (heights["interface_top"] + heights["interface_bottom"])
-    surfaces = alternative_surfaces(
-        interface_mean - face_mean, face_mean, centre, in_outline, pitch, params
-    )
-    for name, (height, title) in surfaces.items():
+    base_offset = interface_mean - face_mean
+    alternatives = alternative_surfaces(base_offset, face_mean, centre, in_outline, pitch, params)
+    for name, (height, title) in alternatives.items():
         variables[name] = _variable(height.astype(np.float32), title)
     shares = find_presence(columns, centre, thickness, sign, levels, engine)
     for name, share in shares.items():
         title = f"Material {_PLACES[name]}"
         variables[name] = _variable(share, title, "1", layer=list(LAYERS[name]))
-    if np.isfinite([heights["interface_top"], heights["interface_bottom"]]).any():
+    has_interface = np.isfinite([heights["interface_top"], heights["interface_bottom"]])
+    if has_interface.any():
         # A coating stands out from what fills the holes where the base hardly does, as in resin.
-        has_faces = np.where(has_centre, states.is_closed, np.nan).astype(np.float32)
+        has_faces = np.where(has_centre, states.is_closed, np.nan)
         title = "Columns in which both faces of a coated sheet are seen"
-        variables["presence_faces"] = _variable(has_faces, title, "1", layer=[-0.5, 0.5])
+        field = has_faces.astype(np.float32)
+        variables["presence_faces"] = _variable(field, title, "1", layer=[-0.5, 0.5])
     if (cutoff_used > params.cutoff_um).any():
         title = "Cut-off of the centre surface, wider than stated across gaps"
         variables["centre_cutoff_um"] = _variable(cutoff_used.astype(np.float32), title)
@@ -150,26 +155,25 @@ def _attrs(
     cutoff_used: Floats,
     status: Codes,
 ) -> Entries:
-    """Options of the search, what was removed, bridged gaps and half-closed holes."""
+    """Options of the search, what was removed, bridged gaps and half-closed holes.
+
+    ``thickness``: the median one, um; ``cutoff_used`` (rows, cols): cut-off of the centre surface,
+    um, NaN beyond its outline; ``status`` (rows, cols).
+    """
     is_bridged = cutoff_used > params.cutoff_um
     bridged_share = np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(cutoff_used))
     off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
-    off_rims_share = float(off_rims.mean()) if off_rims.size else 0.0
     holes = half_closed(states.is_sheet, states.runs_out, columns.pitch[:2])
     places = zip(holes.T, columns.lateral_um(), strict=True)
     holes_um = [np.interp(index, np.arange(um.size), um) for index, um in places]
-    voxel_um = [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")]
-    attrs: Entries = {
-        "thickness_um": thickness,
-        "cutoff_um": params.cutoff_um,
-        "bridged_share": float(bridged_share),
-        "bridged_off_rims_share": off_rims_share,
-        "rim_um": params.rim_um,
-        "voxel_um": voxel_um,
-        "particles_removed": faces.particles,
-        "half_closed_holes": len(holes),
-        "half_closed_at_um": np.transpose(holes_um).ravel().tolist(),
-    }
+    attrs: Entries = {"thickness_um": thickness, "cutoff_um": params.cutoff_um}
+    attrs["bridged_share"] = bridged_share
+    attrs["bridged_off_rims_share"] = float(off_rims.mean()) if off_rims.size else 0.0
+    attrs["rim_um"] = params.rim_um
+    attrs["voxel_um"] = [voxel_pitch(columns.volume, axis) for axis in "zyx"]
+    attrs["particles_removed"] = faces.particles
+    attrs["half_closed_holes"] = len(holes)
+    attrs["half_closed_at_um"] = np.transpose(holes_um).ravel().tolist()
     if params.method != "profile":
         attrs["method"] = params.method
     return columns.frame.attrs() | attrs
@@ -180,9 +184,8 @@ def _face_variables(heights: NamedFields, faces: Faces) -> dict[str, Variable]:
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
     for side, (level_error, mean_um) in faces.level_errors.items():
         title = f"Standard error of the {side} face from the wall's grey"
-        variables[f"level_{side}_error"] = _variable(
-            level_error.astype(np.float32), title, common_um=mean_um
-        )
+        field = level_error.astype(np.float32)
+        variables[f"level_{side}_error"] = _variable(field, title, common_um=mean_um)
     return variables
 
 
@@ -215,17 +218,18 @@ def alternative_surfaces(
 ) -> dict[str, tuple[Floats, str]]:
     """Give the heights over the centre surface of alternatives that could stand for it.
 
-    They are smoothed alike and carried on.
+    They are smoothed alike and carried on, (rows, cols) in um, NaN beyond the outline; each with
+    the title of its map.
 
-    ``base_offset``: from the mean of the faces to the middle of the base; left out where an
-    interface is missing.
+    ``base_offset``: from the mean of the faces, ``face_mean``, to the middle of the base; NaN where
+    an interface is missing, and without half of the columns there is no such alternative.
     """
     shorter_params = params.model_copy(update={"cutoff_um": _SHORTER * params.cutoff_um})
-    shorter = centre_surface(face_mean, in_outline, pitch, shorter_params)[0] - centre
+    shorter, _ = centre_surface(face_mean, in_outline, pitch, shorter_params)
     title = f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface"
-    surfaces = {"centre_shorter": (shorter, title)}
+    surfaces = {"centre_shorter": (shorter - centre, title)}
     if np.isfinite(base_offset).mean() >= 0.5 * np.isfinite(face_mean).mean():
-        base_middle = centre_surface(base_offset, in_outline, pitch, params)[0]
+        base_middle, _ = centre_surface(base_offset, in_outline, pitch, params)
         surfaces["base_middle"] = base_middle, "Middle of the base, over the centre surface"
     for name, (height, title) in surfaces.items():
         carried_on = np.where(np.isfinite(centre), filled(height), np.nan)
@@ -238,17 +242,18 @@ def centre_surface(
 ) -> TwoFields:
     """Smooth the mean of the faces and carry it across holes.
 
-    The centre surface and the cut-off used, in um.
+    The centre surface and the cut-off used, (rows, cols) in um; NaN beyond the outline.
     """
     cutoff_um = params.cutoff_um
     if params.method == "paper":
         centre = slice_smoothed(face_mean, pitch[1], cutoff_um=cutoff_um)
+        wider_cutoffs_um = ()
     else:
         centre = gaussian_regression(face_mean, pitch, cutoff_um=cutoff_um)
+        wider_cutoffs_um = (2.0 * cutoff_um, 4.0 * cutoff_um)
     used_um = np.full(centre.shape, cutoff_um)
     # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer
     # one.
-    wider_cutoffs_um = () if params.method == "paper" else (2.0 * cutoff_um, 4.0 * cutoff_um)
     for wider_um in wider_cutoffs_um:
         is_gap = np.isnan(centre)
         if is_gap[in_outline].any():
@@ -284,16 +289,17 @@ def find_presence(
 
     0 to 1.
 
-    ``centre``: height of the centre surface, um; ``up_sign``: +1 where heights grow towards the
-    top; ``levels``: grey of air and base. Returns a map (rows, cols) for each of ``LAYERS``; NaN
-    where there is no centre surface or the normal leaves the volume. The voxels are read once for
-    all layers. The bottom's layer mirrors the top's: with the other side on top, the two maps
-    change places to the last bit.
+    ``centre`` (rows, cols): height of the centre surface, um; ``thickness``: the median one of the
+    sheet, um; ``up_sign``: +1 where heights grow towards the top, else -1; ``levels``: grey of air
+    and base. Returns a map (rows, cols) for each of ``LAYERS``; NaN where there is no centre
+    surface or the normal leaves the volume. The voxels are read once for all layers. The bottom's
+    layer mirrors the top's: with the other side on top, the two maps change places to the last bit.
     """
     pitch = columns.pitch
     slope = np.gradient(centre, *pitch[:2])
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     upwards = -slope[0], -slope[1], 1.0
+    # Columns, and voxels along them, for one um along the normal.
     normals = [up_sign * n / length / p for n, p in zip(upwards, pitch, strict=True)]
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
@@ -310,7 +316,11 @@ def find_presence(
 
 
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
-    """Shares of material in the layers of a tile, (layers, rows, cols)."""
+    """Shares of material in the layers of a tile, (layers, rows, cols); NaN without a sheet.
+
+    The job: the columns; depth of the centre surface in voxels, and the normal in columns and
+    voxels for one um along it, each (rows, cols); the thickness in um; grey of air and base.
+    """
     columns, depth_and_normal, thickness, grey_levels = job
     depth_count = columns.shape[2]
     shares = np.full((len(LAYERS), *tile.shape), np.nan)
@@ -333,24 +343,16 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
     max_depth = float(end_depths.max())
     if max_depth < 0 or min_depth > depth_count - 1:
         return shares
+    # Two voxels at least, so that there is something to interpolate between.
     first_px = min(max(int(np.floor(min_depth)), 0), depth_count - 2)
     stop_px = min(int(np.ceil(max_depth)) + 2, depth_count)
     reach_um = np.abs(offsets).max()
-    largest_px = [float(np.abs(n[is_sheet]).max()) for n in normal[:2]]
-    halo = [int(np.ceil(reach_um * px)) + 1 for px in largest_px]
-    tile_with_halo = tile.grown(halo[0], halo[1], columns.shape[:2])
+    most_lateral = [np.abs(n[is_sheet]).max() for n in normal[:2]]
+    row_halo, col_halo = np.ceil(np.multiply(reach_um, most_lateral)).astype(int).tolist()
+    tile_with_halo = tile.grown(row_halo + 1, col_halo + 1, columns.shape[:2])
     grey = columns.grey(tile_with_halo, depth=slice(first_px, stop_px))
     lead = tile.within(tile_with_halo)[::2]
-    _kernels.presence(
-        grey,
-        first_px,
-        depth_count,
-        *lead,
-        centre_depth,
-        *normal,
-        offsets,
-        layer_indices,
-        *grey_levels,
-        shares,
-    )
+    slab = (grey, first_px, depth_count, *lead)
+    layers = (offsets, layer_indices)
+    _kernels.presence(*slab, centre_depth, *normal, *layers, *grey_levels, shares)
     return shares

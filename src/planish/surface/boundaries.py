@@ -57,7 +57,8 @@ def find_faces_by_slice(
 def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     """Give the depth of the face and the thickness of the coating, (4, rows, cols).
 
-    They are from the high end, then from the low end.
+    They are from the high end, then from the low end, in voxels; NaN where there is no face. A row
+    with too few voxels has none.
     """
     columns, guide, priors, _ = job
     grey, guide = oriented(columns, tile, guide, priors.scale)
@@ -88,18 +89,20 @@ def _outer_boundaries(
 ) -> TwoFields:
     """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,).
 
-    NaN for none.
+    In voxels; NaN for none. The grey (cols, depth) is read from outside to inside; this face and
+    the ``opposite`` one should lie where ``expected`` and ``opposite`` say, and this one is
+    searched from ``start`` on, (cols,) each in voxels. ``paper`` and ``coating`` are thresholds of
+    grey; that of a side without a coating is infinite.
     """
-    # The grey (cols, depth) is read from outside to inside; this face and the opposite one should
-    # lie where expected and other say. Paper and coating are thresholds; that of a side without a
-    # coating is infinite.
     depth_count = grey.shape[1]
     depth = np.arange(depth_count)
-    is_expected = np.isfinite(expected) & np.isfinite(opposite)
-    middle = np.where(is_expected, 0.5 * (expected + opposite), -1.0).astype(int)
+    # The face lies in the outer half of the sheet; nowhere where it is not expected.
+    middle = np.nan_to_num(0.5 * (expected + opposite), nan=-1.0).astype(int)
     is_above = grey > paper
     is_bright = grey > coating
-    smoothed = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:]
+    # Entered where the lightly smoothed grey stays above the threshold for two samples.
+    outer_and_inner = grey[:, :-2] + grey[:, 2:]
+    smoothed = 0.25 * outer_and_inner + 0.5 * grey[:, 1:-1]
     is_clear = smoothed > paper
     is_entered = np.zeros(grey.shape, bool)
     is_entered[:, 1:-2] = is_clear[:, :-1] & is_clear[:, 1:]
@@ -112,6 +115,7 @@ def _outer_boundaries(
     start_inside = np.where(is_outside.any(axis=1), last_outside + 1, 1)
     inside = np.minimum(first_where(is_above, start_inside), depth_count - 2)
     face = inside - 1 + crossing(grey, inside - 1, paper)
+    # Coating begins within four samples of the face, and ends in the outer half.
     first_limit = np.maximum(np.minimum(middle, inside + 4), inside)
     first = np.minimum(first_where(is_bright, inside), first_limit)
     last_limit = np.maximum(np.minimum(middle, depth_count - 2), first)
@@ -124,9 +128,10 @@ def _outer_boundaries(
 def otsu(grey: Floats, classes: int) -> Pair:
     """Thresholds that separate two or three classes of grey best; the second is infinite for two.
 
-    The variance between the classes is largest there.
+    The variance between the classes is largest there. ``grey`` (n,) is cut at its outermost
+    thousandths first; where that leaves one value both classes begin there.
     """
-    low, high = (float(limit) for limit in np.percentile(grey, [0.1, 99.9]))
+    low, high = np.percentile(grey, [0.1, 99.9]).tolist()
     if not high > low:
         return low, float("inf")
     usual_grey = np.clip(grey, low, high)
@@ -168,9 +173,10 @@ class LabelColumns(Columns):
 def surfaces_from_labels(
     labels: xr.DataArray, frame: Frame, meaning: LabelParams, params: SurfaceParams, engine: Engine
 ) -> xr.Dataset:
-    """Find the surfaces in labels.
+    """Find the surfaces in labels, by the ``meaning`` of these.
 
-    A boundary lies half way between the voxels; there are no grey levels.
+    VolumeError where the labels are no whole numbers, or one of them has two meanings. A boundary
+    lies half way between the voxels; there are no grey levels.
     """
     if not np.issubdtype(labels.dtype, np.integer) and labels.dtype != np.bool_:
         raise VolumeError(
@@ -194,8 +200,9 @@ def surfaces_from_labels(
     by_tile = engine.map("labels", _boundaries, lambda t: (coded, guide.part(t), search_px), tiles)
     depths = join_tiles(by_tile, np.empty((4, *columns.shape[:2])))
     # A side with a coating in fewer than 2 % of its columns has none.
-    is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
-    high_coated, low_coated = (bool(mask.size and mask.mean() > 0.02) for mask in is_coated)
+    n_faces = np.isfinite(depths[1::2]).sum(axis=(1, 2))
+    n_coated = (depths[1::2] > 0).sum(axis=(1, 2))
+    high_coated, low_coated = (n_coated > 0.02 * n_faces).tolist()
     coated = high_coated, low_coated
     faces = faces_from_depths(depths, columns, coated, particles=coarse.specks)
     doubt = doubtful(guide, coarse, 0.0, columns.shape[2])
@@ -207,7 +214,8 @@ def surfaces_from_labels(
 def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
     """Give the depth of the face and the thickness of the coating, (4, rows, cols).
 
-    They are from the high end, then from the low end.
+    They are from the high end, then from the low end, in voxels; NaN where there is no face. The
+    face is sought from ``search_px``, the last of the job, outside the place where it is expected.
     """
     columns, guide, search_px = job
     codes = columns.voxels(tile)
@@ -215,8 +223,9 @@ def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
     depths: list[Floats] = []
     for from_high in (True, False):
         outer, opposite = guide.faces(last_index + 1, from_high=from_high)
-        has_sheet = np.isfinite(outer) & np.isfinite(opposite)
-        middle = np.where(has_sheet, 0.5 * (outer + opposite), -1.0).astype(int)
+        middle = 0.5 * (outer + opposite)
+        has_sheet = np.isfinite(middle)
+        middle = np.where(has_sheet, middle, -1.0).astype(int)
         start = np.where(has_sheet, outer - search_px / guide.cos_tilt, -1.0)
         codes_inward = codes[:, :, ::-1] if from_high else codes
         # The outermost boundary of base or coating, and the outermost run of coating.

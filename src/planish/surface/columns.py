@@ -61,7 +61,8 @@ class Columns:
     def lateral_um(self) -> TwoFields:
         """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
         rows, cols, _ = self.shape
-        return self._middles_um(self.frame.rows, rows), self._middles_um(self.frame.cols, cols)
+        rows_um = self._middles_um(self.frame.rows, rows)
+        return rows_um, self._middles_um(self.frame.cols, cols)
 
     def _middles_um(self, axis: Axis, count: int) -> Floats:
         voxels_um = self.volume.coords[axis].values[: count * self.step].astype(float)
@@ -90,6 +91,7 @@ class Columns:
         stored = self.voxels(tile, depth)
         if self.step > 1:
             missing = np.nan if self.padding is None else self.padding
+            # Without a slope nothing is moved.
             level = np.zeros(tile.shape)
             slope_r, slope_c = map(np.ascontiguousarray, slope or (level, level))
             grey = np.empty((*tile.shape, stored.shape[2]), np.float32)
@@ -105,9 +107,9 @@ class Columns:
     def tiles(self, engine: Engine, *, multiple: int = 1, share: float = 1.0) -> list[Tile]:
         """Cover all columns with tiles that fit into the engine's memory.
 
-        Their edges are multiples of ``multiple``.
+        Their edges are multiples of ``multiple``, in columns.
 
-        ``share``: of the depth that is read.
+        ``share``: of the depth that is read, 0 to 1.
         """
         rows, cols, depth = self.shape
         # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
@@ -116,10 +118,8 @@ class Columns:
         budget_bytes = engine.memory_bytes / (engine.at_once + 1) / 2
         # Columns in a chunk of the file where they fit into it evenly.
         chunk_sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]
-        chunk_columns = [
-            n // self.step for n in chunk_sizes if n % self.step == 0 and n // self.step <= _TILE
-        ]
-        multiple = math.lcm(multiple, *chunk_columns)
+        chunk_columns = [n // self.step for n in chunk_sizes if n % self.step == 0]
+        multiple = math.lcm(multiple, *(n for n in chunk_columns if n <= _TILE))
         edge = int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE))
         rows_per_tile = max(edge // multiple, 1) * multiple
         # Along the rows of the file as far as memory allows, so that neighbours in the file are
@@ -160,13 +160,19 @@ class Guide(NamedTuple):
 
     def faces(self, depth: int, *, from_high: bool) -> TwoFields:
         """Depth of the outer and of the opposite face, counted from the end that is read from."""
-        outer, opposite = (self.high, self.low) if from_high else (self.low, self.high)
-        return (depth - 1 - outer, depth - 1 - opposite) if from_high else (outer, opposite)
+        if from_high:
+            return depth - 1 - self.high, depth - 1 - self.low
+        return self.low, self.high
 
 
 def make_guide(coarse_sheet: CoarseSheet, columns: Columns) -> Guide:
-    """Bring the coarse sheet to single columns."""
-    shape, pitch = columns.shape[:2], columns.pitch
+    """Bring the coarse sheet to single columns, and take its slopes.
+
+    The slopes are those of the sheet's middle, smoothed over eight blocks and twice its thickness
+    at least: what is shorter is roughness, or the blocks' own.
+    """
+    shape = columns.shape[:2]
+    pitch = columns.pitch
     low = to_columns(coarse_sheet.low, coarse_sheet.block, shape)
     high = to_columns(coarse_sheet.high, coarse_sheet.block, shape)
     middle_um = 0.5 * (low + high) * pitch[2]
