@@ -16,7 +16,7 @@ from planish.core.typing import Floats
 from planish.register.field import DeviationField
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of, solved
 
-Frame = tuple[Floats, float]
+Frame = tuple[Floats, float]  # of `Pairs.frame`: middle (2,) and size of the moving marks, in um
 
 
 class Model(ABC):
@@ -84,19 +84,23 @@ class ParametricModel(Model):
         blocks = q.reshape(len(pairs), 2, -1)
         residual_blocks = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
         # Leverage 1: without this mark the others leave a parameter free.
-        is_undetermined = np.linalg.eigvalsh(residual_blocks)[:, 0] < COINCIDENT
-        residual_blocks[is_undetermined] = np.nan
-        whitened_errors = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
-        return solved(whitening, (inverse_of(residual_blocks) @ whitened_errors)[..., 0])
+        least_eigenvalues, _ = np.linalg.eigvalsh(residual_blocks).T
+        residual_blocks[least_eigenvalues < COINCIDENT] = np.nan
+        residuals = pairs.fixed - transform(pairs.moving)
+        whitened_residuals = whitening @ residuals[..., None]
+        whitened_errors = inverse_of(residual_blocks) @ whitened_residuals
+        return solved(whitening, whitened_errors[..., 0])
 
 
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
     """Parameters (p,) by weighted QR from design (n, 2, p), target (n, 2).
 
+    ``whitening`` (n, 2, 2) is that of the pairs, ``name`` that of the model, for messages.
     CannotRegister if marks leave one free.
     """
     q, r = whitened_qr(whitening, design, name)
-    return solved(r, q.T @ (whitening @ target[..., None]).reshape(-1))
+    whitened_target = whitening @ target[..., None]
+    return solved(r, q.T @ whitened_target.ravel())
 
 
 def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
@@ -104,12 +108,14 @@ def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, F
 
     Refuse equations that leave something free.
     """
-    equations = (whitening @ design).reshape(-1, design.shape[-1])
+    parameter_count = design.shape[-1]
+    equations = (whitening @ design).reshape(-1, parameter_count)
     q, r = np.linalg.qr(equations)
-    scaled_r = r / np.maximum(np.linalg.norm(r, axis=0), 1e-300)
-    singular_values = np.linalg.svd(scaled_r, compute_uv=False)
+    lengths = np.linalg.norm(r, axis=0)
+    scaled_r = r / np.maximum(lengths, 1e-300)
+    largest, *_, least = np.linalg.svd(scaled_r, compute_uv=False)
     # Condition number of the scaled equations beyond which marks do not fix the parameters.
-    if len(equations) < design.shape[-1] or not singular_values[-1] > 1e-8 * singular_values[0]:
+    if len(equations) < parameter_count or not least > 1e-8 * largest:
         raise CannotRegister(
             f"The marks do not fix one {name} transformation: at least one parameter stays free."
             " Add marks away from the lines that the others lie on, or choose a model with fewer"
@@ -119,9 +125,10 @@ def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, F
 
 
 def refuse_line(pairs: Pairs, name: str) -> None:
-    """Refuse marks that lie on one line."""
+    """Refuse marks that lie on one line, on either side."""
     share = pairs.share
-    for side, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
+    sides = {"moving": pairs.moving, "fixed": pairs.fixed}
+    for side, points in sides.items():
         offsets = np.sqrt(share)[:, None] * (points - share @ points)
         long_um, across_um = np.linalg.svd(offsets, compute_uv=False)[:2]
         # Marks whose spread across a line is below this share of that along it fix nothing across

@@ -113,7 +113,10 @@ def match_marks(
     limits = (scale_tolerance, tolerance_um)
     hands = (False, True) if mirror else (False,)
     choice = choose(source, target, *limits, hands=hands)
-    mirror_choice = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
+    # Where only one hand is allowed, the other one has to be clearly worse.
+    mirror_choice = BestMatch()
+    if not mirror:
+        mirror_choice = choose(source, target, *limits, hands=(True,))
     count = len(choice.pairs)
     smaller_count = min(len(source), len(target))
     if mirror_choice.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
@@ -132,10 +135,9 @@ def match_marks(
             f" mark, or {_HINT}."
         )
     rival_chance = min(choice.second_log_chance, mirror_choice.log_chance)
+    choice = choice._replace(second_log_chance=rival_chance)
     hint_text = _HINT + ". Without `mirror=True`, only one handedness competes" * mirror
-    transform, rms = _fit_choice(
-        choice, source, target, sides_text, scale_tolerance, rival_chance, hint_text=hint_text
-    )
+    transform, rms = _fit_choice(choice, source, target, sides_text, scale_tolerance, hint_text)
     symmetry_text = self_likeness(*choice.together(), tolerance_um=tolerance_um, mirror=mirror)
     if symmetry_text is not None:
         raise CannotRegister(
@@ -158,6 +160,7 @@ def match_marks(
 
 
 def _has_alike(triangle: Floats, within_um: float) -> bool:
+    """Return whether two sides of a triangle (3, 2), in um, are nearly as long."""
     sides = triangle - np.roll(triangle, 1, axis=0)
     lengths = np.sort(np.linalg.norm(sides, axis=1))
     return bool(np.diff(lengths).min() < within_um)
@@ -179,17 +182,15 @@ def _caution(choice: BestMatch, smaller_count: int) -> str:
 
 
 def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:
+    """Say that too few marks agree, and what to do; ``mirror``: both hands were tried."""
     if smaller_count == 3:
         return f"with three marks on a side a match may be chance. Add a fourth, or {_HINT}."
-    needed = choice.needed_count
-    needed_text = (
-        f"about {needed}"
-        if needed <= smaller_count
-        else f"more than the {smaller_count} of the smaller side"
-    )
-    mirror_text = (
-        "" if mirror else "; if the slices are numbered against the usual sense, pass `mirror=True`"
-    )
+    needed_text = f"about {choice.needed_count}"
+    if choice.needed_count > smaller_count:
+        needed_text = f"more than the {smaller_count} of the smaller side"
+    mirror_text = ""
+    if not mirror:
+        mirror_text = "; if the slices are numbered against the usual sense, pass `mirror=True`"
     return (
         f"no match found: {max(2, len(choice.pairs))} agree at best, and {needed_text} have to,"
         " closer than chance brings them. Printed dots as large as holes count as marks: give"
@@ -245,21 +246,23 @@ def match_by_design(
     source = _usable_points(moving, f"marks of the {names[0]}", _PAIRS_HINT)
     target = _usable_points(fixed, f"marks of the {names[1]}", _PAIRS_HINT)
     holes = _usable_points(design, "designed holes", _PAIRS_HINT)
-    numbers = map(str, range(1, len(holes) + 1))
-    labels = tuple(numbers if labels is None else labels)
+    numbers = [str(k + 1) for k in range(len(holes))]
+    labels = numbers if labels is None else list(labels)
     if len(labels) != len(holes):
         raise MarkError(
             f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each."
         )
-    choices: list[dict[bool, BestMatch]] = []
+    limits = (scale_tolerance, tolerance_um)
+    choices: list[_Hands] = []
     for side in (source, target):
-        as_designed = choose(holes, side, scale_tolerance, tolerance_um, hands=(False,))
-        turned_over = choose(holes, side, scale_tolerance, tolerance_um, hands=(True,))
-        choices.append({False: as_designed, True: turned_over})
+        as_designed = choose(holes, side, *limits, hands=(False,))
+        turned_over = choose(holes, side, *limits, hands=(True,))
+        choices.append((as_designed, turned_over))
     (first_match, second_match), is_ambiguous = _choose_hands(choices, names, mirror)
+    moving_name, fixed_name = names
     fit = partial(_fit_on_design, holes=holes, scale_tolerance=scale_tolerance)
-    first_transform, first_sentence = fit(first_match, source, name=names[0])
-    second_transform, second_sentence = fit(second_match, target, name=names[1])
+    first_transform, first_sentence = fit(first_match, source, name=moving_name)
+    second_transform, second_sentence = fit(second_match, target, name=fixed_name)
     sentence = f"{first_sentence} {second_sentence}"
     if is_ambiguous:
         raise CannotRegister(
@@ -272,15 +275,13 @@ def match_by_design(
     shared_holes, i, j = np.intersect1d(
         first_holes, second_holes, assume_unique=True, return_indices=True
     )
-    pairs = np.stack([first_marks[i], second_marks[j]], axis=1)
-    order = np.argsort(pairs[:, 0])
-    pairs = np.ascontiguousarray(pairs[order])
-    shared_holes = shared_holes[order]
+    order = np.argsort(first_marks[i])
+    i, j = first_marks[i][order], second_marks[j][order]
     mirrored = first_match.mirrored != second_match.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the
     # design helps.
-    if len(pairs) >= 4:
-        transform, rms = _fit_similarity(source[pairs[:, 0]], target[pairs[:, 1]], mirrored)
+    if len(order) >= 4:
+        transform, rms = _fit_similarity(source[i], target[j], mirrored)
         basis_text = f"residual {rms:.1f} um rms"
     else:
         # The design's holes as both sides have them, laid on one another.
@@ -291,11 +292,11 @@ def match_by_design(
         f" holes{_FROM_BEHIND * second_match.mirrored}."
     )
     sentence += (
-        f" {len(pairs)} holes are on both sides ({_similarity_text(transform)}, {basis_text})."
+        f" {len(order)} holes are on both sides ({_similarity_text(transform)}, {basis_text})."
     )
     return Matched(
-        pairs=pairs,
-        labels=tuple(labels[k] for k in shared_holes),
+        pairs=np.stack([i, j], axis=1),
+        labels=tuple(labels[k] for k in shared_holes[order].tolist()),
         transform=transform,
         mirrored=mirrored,
         second_best=max(first_match.second_best_count, second_match.second_best_count),
@@ -304,22 +305,28 @@ def match_by_design(
     )
 
 
+_Hands = tuple[BestMatch, BestMatch]  # of the design on one side: as designed, and turned over
+
+
 def _choose_hands(
-    choices: list[dict[bool, BestMatch]], names: tuple[str, str], mirror: bool
-) -> tuple[tuple[BestMatch, BestMatch], bool]:
+    choices: Sequence[_Hands], names: tuple[str, str], mirror: bool
+) -> tuple[_Hands, bool]:
     """Choose the hand that a design has on either side.
 
-    Say whether another choice fits nearly as well.
-
-    The hand that it has against the sheet is not known; both sides have the same, unless mirrored.
+    ``choices`` are those of the moving and the fixed side. Returns the match of either, and whether
+    another choice fits nearly as well. The hand that the design has against the sheet is not known;
+    both sides have the same, unless mirrored.
     """
     first, second = choices
-    log_chances: dict[tuple[bool, bool], float] = {}
+    log_chances: list[float] = []
+    allowed: list[tuple[float, bool, bool]] = []
     for i, j in product((False, True), repeat=2):
-        log_chances[i, j] = first[i].log_chance + second[j].log_chance
-    allowed = [(log_chances[i, j], i, j) for i, j in log_chances if mirror or i == j]
+        log_chance = first[i].log_chance + second[j].log_chance
+        log_chances.append(log_chance)
+        if mirror or i == j:
+            allowed.append((log_chance, i, j))
     (best_chance, i, j), *rivals = sorted(allowed)
-    if min(log_chances.values()) < min(best_chance, 2 * ACCEPTED) - 1.0:
+    if min(log_chances) < min(best_chance, 2 * ACCEPTED) - 1.0:
         raise WrongHand(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it"
             f" is turned over: {_WRONG_SIDE}"
@@ -331,24 +338,20 @@ def _choose_hands(
 def _fit_on_design(
     choice: BestMatch, points: Floats, *, holes: Floats, scale_tolerance: float, name: str
 ) -> tuple[Similarity, str]:
+    """Fit the designed holes (d, 2) to the marks (n, 2) of the side ``name``, in um.
+
+    Gives the transformation from the design, and a sentence; CannotRegister where few agree.
+    """
     sides_text = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
     count = len(choice.pairs)
     if count < choice.needed_count:
         raise CannotRegister(
-            f"{sides_text}: the design does not match the marks: {max(2, len(choice.pairs))} agree"
+            f"{sides_text}: the design does not match the marks: {max(2, count)} agree"
             f" at best, and about {choice.needed_count} have to, closer than chance brings them."
             " Check that it is the design of this sheet, its unit (um), the pixel and voxel sizes;"
             f" find more of the marks, or {_PAIRS_HINT}."
         )
-    transform, rms = _fit_choice(
-        choice,
-        holes,
-        points,
-        sides_text,
-        scale_tolerance,
-        choice.second_log_chance,
-        hint_text=_PAIRS_HINT,
-    )
+    transform, rms = _fit_choice(choice, holes, points, sides_text, scale_tolerance, _PAIRS_HINT)
     match_text = (
         f"{count} match (residual {rms:.1f} um rms); the second-best match has"
         f" {choice.second_best_count}."
@@ -370,16 +373,15 @@ def _fit_choice(
     target: Floats,
     sides_text: str,
     scale_tolerance: float,
-    rival_chance: float,
-    *,
     hint_text: str,
 ) -> tuple[Similarity, float]:
-    """Fit the arrangement and give its rms residual.
+    """Fit the arrangement of marks (n, 2) and (m, 2); give it and its rms residual, in um.
 
-    Refuse one with a rival, or at a scale that is out of range.
+    Refuse one with a rival, or at a scale that is out of range; ``sides_text`` and ``hint_text``
+    begin and end the message.
     """
     count = len(choice.pairs)
-    if rival_chance < choice.log_chance + _MARGIN:
+    if choice.second_log_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(
             f"{sides_text}: {count} match in the best arrangement, {choice.second_best_count} in"
             " the second-best, too close to decide: the pattern is ambiguous, symmetric or"
@@ -401,13 +403,14 @@ def _fit_choice(
 
 def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
     """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
-    information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
+    information = np.tile(np.eye(2), (len(source), 1, 1))
     pairs = Pairs(moving=source, fixed=target, information=information)
     transform = SimilarityModel().fit(pairs, mirrored)
     return transform, rms_length(transform(source) - target)
 
 
 def _usable_points(marks: ArrayLike, name: str, hint_text: str) -> Floats:
+    """Give marks as (n, 2) in um; MarkError where one is not finite, CannotRegister below three."""
     points = points_of(marks, name)
     nonfinite_rows = np.flatnonzero(~are_known(points))
     if nonfinite_rows.size:

@@ -3,6 +3,7 @@
 Also whether the pattern may repeat itself.
 """
 
+import math
 from math import comb, log10
 from typing import NamedTuple
 
@@ -52,10 +53,13 @@ class BestMatch(NamedTuple):
 
         And how many each side alone shows.
         """
-        rows, columns = self.pairs.T[::-1] if self.is_swapped else self.pairs.T
-        small_alone = self._in_both(np.delete(self.small_points, rows))
-        large_alone = self._in_both(np.delete(self.large_points, columns))
-        points = np.concatenate([self.large_points[columns], small_alone, large_alone])
+        small_rows, large_rows = self.pairs.T
+        if self.is_swapped:
+            small_rows, large_rows = large_rows, small_rows
+        small_alone = self._in_both(np.delete(self.small_points, small_rows))
+        large_alone = self._in_both(np.delete(self.large_points, large_rows))
+        paired = self.large_points[large_rows]
+        points = np.concatenate([paired, small_alone, large_alone])
         return points, (len(small_alone), len(large_alone))
 
     def _in_both(self, points: Complexes) -> Complexes:
@@ -73,72 +77,83 @@ def choose(
     *,
     hands: tuple[bool, ...],
 ) -> BestMatch:
-    """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um."""
+    """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um.
+
+    Marks agree within ``tolerance_um``; the scale may be off 1 by ``scale_tolerance``; of the
+    ``hands`` that are tried, True turns one side over.
+    """
     is_swapped = len(source) > len(target)
-    a, b = (as_complex(points, False) for points in sorted((source, target), key=len))
+    smaller, larger = sorted((source, target), key=len)
+    a = as_complex(smaller, False)
+    b = as_complex(larger, False)
     arrangements = search(a, b, scale_tolerance, tolerance_um, hands=hands)
     if len(arrangements.inliers) == 0:
         return BestMatch()
-    misfit = np.sum(np.minimum(arrangements.squares, tolerance_um**2), axis=1)
-    best = int(np.lexsort((misfit, arrangements.log_chance))[0])
+    within_tolerance = np.minimum(arrangements.squares, tolerance_um**2)
+    misfit = np.sum(within_tolerance, axis=1)
+    first, *_ = np.lexsort((misfit, arrangements.log_chance))
+    best = arrangements.take(first)
     # Pairs are within the tolerance, or less where the others agree much better. The median
     # distance of a normal scatter in the plane is 1.18 standard deviations.
-    squares = arrangements.squares[best]
-    agreeing_squares = squares[squares <= tolerance_um * tolerance_um]
-    free_count = max(len(agreeing_squares) - float(arrangements.freedom[best]), 1.0)
-    scatter = np.sqrt(np.median(agreeing_squares) * len(agreeing_squares) / free_count) / 1.18
+    agreeing_squares = best.squares[best.squares <= tolerance_um * tolerance_um]
+    count = len(agreeing_squares)
+    free_count = max(count - float(best.freedom), 1.0)
+    scatter = np.sqrt(np.median(agreeing_squares) * count / free_count) / 1.18
     # A pair this many times further apart than the others are is not one, however wide the
     # tolerance.
     largest_um = float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um))
-    rows = np.flatnonzero(squares <= largest_um**2)
-    pairs = np.stack([rows, arrangements.partner[best][rows]], axis=1)
-    pairs = pairs[:, ::-1] if is_swapped else pairs
-    moved_points = arrangements.landed[best]
+    rows = np.flatnonzero(best.squares <= largest_um**2)
+    sides = [rows, best.partner[rows].astype(np.intp)]
+    if is_swapped:
+        sides.reverse()
+    pairs = np.stack(sides, axis=1)
     # Of the marks of the smaller side that lie in the field of the other, 35 % have to agree.
-    common_count = np.count_nonzero(_inside(moved_points, b, 0.05))
-    needed_count = 3 if len(a) == 3 else max(4, int(np.ceil(0.35 * common_count)))
-    if len(pairs) < needed_count or arrangements.log_chance[best] > ACCEPTED:
-        chance_count = marks_needed(len(a), b, int(arrangements.tests[0]), tolerance_um)
+    common_count = np.count_nonzero(_inside(best.landed, b, 0.05))
+    needed_count = 3
+    if len(a) > 3:
+        needed_count = max(4, math.ceil(0.35 * common_count))
+    if len(pairs) < needed_count or best.log_chance > ACCEPTED:
+        chance_count = marks_needed(len(a), b, int(best.tests), tolerance_um)
         needed_count = max(needed_count, chance_count, len(pairs) + 1)
     rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
-    stretch = 2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best])
     return BestMatch(
-        pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
-        mirrored=bool(arrangements.mirrored[best]),
+        pairs=pairs[np.argsort(pairs[:, 0])],
+        mirrored=bool(best.mirrored),
         needed_count=needed_count,
-        log_chance=float(arrangements.log_chance[best]),
+        log_chance=float(best.log_chance),
         second_log_chance=rival_chance,
         second_best_count=rival_count,
-        stretch=stretch,
+        stretch=float(2.0 * abs(best.gamma) / abs(best.alpha)),
         is_swapped=is_swapped,
-        small_points=moved_points,
+        small_points=best.landed,
         large_points=b,
     )
 
 
 def _rival(
-    arrangements: Arrangements, best: int, b: Complexes, tolerance: float
+    arrangements: Arrangements, best: Arrangements, b: Complexes, tolerance: float
 ) -> tuple[float, int]:
     """Give log10 of how often chance offers the best different arrangement.
 
-    Also gives how many marks agree in it.
+    Also gives how many marks agree in it. ``best`` is the row of the best one; another is different
+    where it moves a mark by two tolerances (um), or turns one side over. Infinite, with 0 marks,
+    where there is none.
     """
-    is_used = arrangements.squares[best] <= tolerance * tolerance
-    landed = arrangements.landed[:, is_used]
-    moved = np.abs(landed - landed[best]).max(axis=1)
-    is_turned_over = arrangements.mirrored != arrangements.mirrored[best]
-    is_rival = is_turned_over | (moved > 2.0 * tolerance)
+    is_used = best.squares <= tolerance * tolerance
+    moves = arrangements.landed[:, is_used] - best.landed[is_used]
+    is_turned_over = arrangements.mirrored != best.mirrored
+    is_rival = is_turned_over | (np.abs(moves).max(axis=1) > 2.0 * tolerance)
     if not is_rival.any():
         return np.inf, 0
     rivals = arrangements.take(is_rival)
     # Pairs that both arrangements share support neither, unless one of the two is turned over.
-    is_shared = (rivals.partner == arrangements.partner[best]) & is_used
+    is_shared = (rivals.partner == best.partner) & is_used
     is_shared &= ~is_turned_over[is_rival, None]
     squares = np.where(is_shared, np.inf, rivals.squares)
     tests = int(rivals.tests[0])
     no_power = np.zeros(len(squares))
     log_chances = log_chance(squares, b, tests, tolerance, rivals.freedom, no_power)
-    best_rival = int(np.lexsort((-rivals.inliers, log_chances))[0])
+    best_rival, *_ = np.lexsort((-rivals.inliers, log_chances))
     if np.isfinite(log_chances[best_rival]):
         return float(log_chances[best_rival]), int(rivals.inliers[best_rival])
     return np.inf, int(rivals.inliers.max())
@@ -148,8 +163,9 @@ def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
     """Mask of the points in the rectangle around others, widened by a share of its longer side."""
     x0, x1, y0, y1 = bounds_of(field_points)
     margin = border * max(x1 - x0, y1 - y0)
-    inside_x = (points.real >= x0 - margin) & (points.real <= x1 + margin)
-    return inside_x & (points.imag >= y0 - margin) & (points.imag <= y1 + margin)
+    x, y = points.real, points.imag
+    inside_x = (x >= x0 - margin) & (x <= x1 + margin)
+    return inside_x & (y >= y0 - margin) & (y <= y1 + margin)
 
 
 _NOT_BURNT = 0.05  # share of holes that were not burnt through
@@ -175,8 +191,9 @@ def self_likeness(
     hands = (False, True) if mirror else (False,)
     # Scales up to 1 % off: under those a pattern may repeat itself.
     arrangements = search(points, points, 0.01, tolerance_um, hands=hands)
-    is_moved = np.abs(arrangements.landed - points).max(axis=1) > 2.0 * tolerance_um
-    symmetries = arrangements.take(arrangements.mirrored | is_moved)
+    moved_um = np.abs(arrangements.landed - points).max(axis=1)
+    is_symmetry = arrangements.mirrored | (moved_um > 2.0 * tolerance_um)
+    symmetries = arrangements.take(is_symmetry)
     if len(symmetries.inliers) == 0:
         return None
     log_evidence = _log_evidence(symmetries, points, count - n_common, tolerance_um)
@@ -187,59 +204,66 @@ def self_likeness(
     # How much better than chance a symmetry has to explain the marks before it counts: symmetric
     # patterns are rare among those that people burn, but a wrong match is worse than none. Marks on
     # one line meet by chance so often that what is plausible alone decides.
-    evidence_limit = -2.0 if extents(points)[1] > 4.0 * tolerance_um else -8.0
-    log_alike = np.array([_lost_alike(count - k, count, alone_counts) for k in range(count + 1)])
-    is_suspect = is_plausible[count - n_met] & is_plausible_common[n_common - n_common_met]
-    is_suspect &= log_evidence + log_alike[n_met] > evidence_limit
+    _, short_side_um = extents(points)
+    evidence_limit = -2.0 if short_side_um > 4.0 * tolerance_um else -8.0
+    # By the number of marks that do not meet another one.
+    log_alike = np.array([_lost_alike(k, count, alone_counts) for k in range(count + 1)])
+    n_lost = count - n_met
+    is_suspect = log_evidence + log_alike[n_lost] > evidence_limit
+    is_suspect &= is_plausible[n_lost]
+    is_suspect &= is_plausible_common[n_common - n_common_met]
     if not np.any(is_suspect):
         return None
     # The most complete one is the clearest to name.
     worst, *_ = np.lexsort((-log_evidence, -n_met, ~is_suspect))
     return (
         f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern"
-        f" is {_motion_text(symmetries, worst, points.mean())}"
+        f" is {_motion_text(symmetries.take(worst), points.mean())}"
     )
 
 
 def _plausible_gaps(n_common: int, alone_counts: tuple[int, int]) -> tuple[Bools, Bools]:
-    """Return how many partners may be missing in a symmetric pattern: of all marks, of the common.
+    """Return whether 0, 1, 2 ... partners may be missing in a symmetric pattern.
 
-    More are missing in fewer than a small share of such patterns.
+    Of all marks, (n + 1,), and of those found on both sides, (n_common + 1,). More are missing in
+    fewer than a small share of such patterns.
     """
-    count = n_common + sum(alone_counts)
-    missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
+    n_alone = sum(alone_counts)
+    count = n_common + n_alone
+    alone_share = _LOST_OF_ALONE * (n_alone + 1.0) / (count + 2.0)
+    missing_share = min(0.9, 0.1 + alone_share)
+    gaps = np.arange(count + 1)
     # bdtrc(k - 1, n, p): probability of k or more of n, each with probability p.
-    is_plausible = special.bdtrc(np.arange(count + 1) - 1, count, missing_share) > 1e-3
+    is_plausible = special.bdtrc(gaps - 1, count, missing_share) > 1e-3
     # The same for marks found on both sides, of whose partners only those lost on both are missing.
-    first_share, second_share = (
-        _LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts
-    )
+    alone = np.array(alone_counts)
+    side_shares = _LOST_OF_ALONE * (alone + 1.0) / (n_common + alone + 2.0)
     gaps = np.arange(n_common + 1)
     # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what
     # has to be lost.
     gap_shares = (gaps / np.maximum(n_common + gaps, 1)) ** 2
-    lost_shares = _NOT_BURNT + np.maximum(first_share * second_share, gap_shares)
+    lost_shares = _NOT_BURNT + np.maximum(side_shares.prod(), gap_shares)
     return is_plausible, special.bdtrc(gaps - 1, n_common, lost_shares) > 3e-3
 
 
-def _motion_text(symmetries: Arrangements, row: int, middle: complex) -> str:
-    """Say how a symmetry moves the pattern."""
-    alpha = symmetries.alpha[row]
-    turn_deg = abs(float(np.degrees(np.angle(alpha))))
-    if symmetries.mirrored[row]:
+def _motion_text(symmetry: Arrangements, middle: complex) -> str:
+    """Say how a symmetry, one row, moves the pattern about its middle."""
+    turn_deg = abs(float(np.degrees(np.angle(symmetry.alpha))))
+    if symmetry.mirrored:
         return "turned over"
     if turn_deg >= 5.0:
         return f"turned by {turn_deg:.0f} deg"
-    moved = alpha * middle + symmetries.gamma[row] * np.conj(middle) + symmetries.beta[row]
+    moved = symmetry.alpha * middle + symmetry.gamma * np.conj(middle) + symmetry.beta
     return f"shifted by {abs(moved - middle):.0f} um"
 
 
 def _log_evidence(
     symmetries: Arrangements, points: Complexes, single_count: int, tolerance: float
 ) -> Floats:
-    """Give log10 of how much better than chance a symmetry explains the marks.
+    """Give log10 of how much better than chance each symmetry (h,) explains the marks (n,).
 
-    Both those that meet and those that do not.
+    Both those that meet a mark within the ``tolerance`` (um) and those that do not, of which
+    ``single_count`` were found on one side alone.
     """
     count = len(points)
     is_paired = symmetries.partner >= 0
@@ -257,9 +281,11 @@ def _log_evidence(
     tests = np.where(is_exchange, count * (count - 1) / 2, symmetries.tests)
     paired_counts = is_paired.sum(axis=1)
     paired_squares = np.where(is_paired, symmetries.squares, 0.0)
-    rms = np.sqrt(paired_squares.sum(axis=1) / np.maximum(paired_counts, 1))
-    meeting_shares = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
-    missing_share = min(0.9, max(0.1, (single_count + 1.0) / (count + 2.0)))
+    mean_squares = paired_squares.sum(axis=1) / np.maximum(paired_counts, 1)
+    radius = 1.8 * np.sqrt(mean_squares) + 0.08 * tolerance
+    meeting_shares = share_within(radius, points, tolerance)
+    single_share = (single_count + 1.0) / (count + 2.0)
+    missing_share = min(0.9, max(0.1, single_share))
     log_met = -np.maximum(free_counts, 0) * np.log10(meeting_shares)
     log_missing = (count - paired_counts) * log10(missing_share)
     log_paired = paired_counts * log10(1.0 - missing_share)
@@ -275,8 +301,10 @@ def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float
     through.
     """
     n_holes = count + n_lost
-    n_first, n_second = n_lost + alone_counts[1], n_lost + alone_counts[0]
-    alike_count = comb(n_first, n_lost) * comb(n_holes - n_first, n_second - n_lost)
+    # What one side lost, the other one shows alone.
+    alone_first, alone_second = alone_counts
+    n_first, n_second = n_lost + alone_second, n_lost + alone_first
+    alike_count = comb(n_first, n_lost) * comb(n_holes - n_first, alone_first)
     chance_alike = alike_count / comb(n_holes, n_second)
     chance_unburnt = comb(n_holes, n_lost) * _NOT_BURNT**n_lost * (1.0 - _NOT_BURNT) ** count
     return log10(max(chance_alike, chance_unburnt, 1e-300))

@@ -37,7 +37,8 @@ class Pairs:
 
         It is the weight of a pair whose error has no direction.
         """
-        return 0.5 * (self.information[:, 0, 0] + self.information[:, 1, 1])
+        xx, _, _, yy = self.information.reshape(-1, 4).T
+        return 0.5 * (xx + yy)
 
     @property
     def share(self) -> Floats:
@@ -47,25 +48,26 @@ class Pairs:
     @property
     def isotropic(self) -> bool:
         """True where no pair knows a direction better than the other."""
-        return np.array_equal(self.information, self.information[:, :1, :1] * np.eye(2))
+        xx = self.information[:, :1, :1]
+        return np.array_equal(self.information, xx * np.eye(2))
 
     def take(self, which: Ints | Bools) -> Pairs:
-        """Return some of the pairs."""
-        return Pairs(
-            moving=self.moving[which], fixed=self.fixed[which], information=self.information[which]
-        )
+        """Return some of the pairs, by their rows or a mask (n,)."""
+        moving, fixed = self.moving[which], self.fixed[which]
+        return Pairs(moving=moving, fixed=fixed, information=self.information[which])
 
     def whitening(self) -> Floats:
         """Return ``U`` of shape (n, 2, 2) with ``U.T @ U`` the information.
 
-        ``U @ error`` has equal, free parts.
+        ``U @ error`` has equal, free parts. ``U`` is upper triangular, as of Cholesky, which would
+        refuse pairs without any information.
         """
         xx, xy, _, yy = self.information.reshape(-1, 4).T
         a = np.sqrt(xx)
         with np.errstate(invalid="ignore", divide="ignore"):
             b = np.where(a > 0, xy / a, 0.0)
         c = np.sqrt(np.maximum(yy - b * b, 0.0))
-        return np.stack([a, b, 0.0 * c, c], axis=-1).reshape(-1, 2, 2)
+        return _blocks(a, b, 0.0 * c, c)
 
     def frame(self) -> tuple[Floats, float]:
         """Return middle (2,) and rms distance from it of the moving marks, in um.
@@ -75,6 +77,11 @@ class Pairs:
         middle = self.share @ self.moving
         squares = np.sum((self.moving - middle) ** 2, axis=1)
         return middle, float(np.sqrt(self.share @ squares))
+
+
+def _blocks(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
+    """Matrices ``[[a, b], [c, d]]`` (n, 2, 2) of their elements (n,)."""
+    return np.stack([a, b, c, d], axis=-1).reshape(-1, 2, 2)
 
 
 def whitened(whitening: Floats, rows: Floats) -> Floats:
@@ -96,14 +103,15 @@ def on_both_axes(rows: Floats) -> Floats:
 
 def squared_distances(places: Floats, targets: Floats) -> Floats:
     """Squares of the distances (n, m) of places (n, 2) from targets (m, 2)."""
-    return np.sum((places[:, None] - targets) ** 2, axis=-1)
+    offsets = places[:, None] - targets
+    return np.sum(offsets**2, axis=-1)
 
 
 def inverse_of(blocks: Floats) -> Floats:
     """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
     a, b, _, c = blocks.reshape(-1, 4).T
-    adjugates = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2)
-    return adjugates / (a * c - b * b)[:, None, None]
+    determinants = a * c - b * b
+    return _blocks(c, -b, -b, a) / determinants[:, None, None]
 
 
 def as_complex(points: Floats, mirrored: bool) -> Complexes:
@@ -118,11 +126,13 @@ def check_pairs(
     """Bring marks and weights into one form; MarkError names all their faults.
 
     These: wrong shapes, unequal counts, values that are not finite, weights that are none, fewer
-    than two pairs, a mark with two partners, all marks at one place. A pair given again counts
-    once: the numbers of the others are returned.
+    than two pairs, a mark with two partners, all marks at one place. The arguments are as for
+    :func:`planish.register.fit_transform`. A pair given again counts once: the rows of the others
+    are returned, and their information is zero.
     """
-    sides = {"moving": points_of(moving, "moving marks"), "fixed": points_of(fixed, "fixed marks")}
-    source, target = sides.values()
+    source = points_of(moving, "moving marks")
+    target = points_of(fixed, "fixed marks")
+    sides = {"moving": source, "fixed": target}
     if len(source) != len(target):
         raise MarkError(
             f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its"
@@ -145,11 +155,13 @@ def check_pairs(
             f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2,"
             f" and 3 to estimate its error. Add {2 - used.size} or more, far apart."
         )
-    coincidence_um: dict[str, float] = {}
+    coincidence_um: dict[str, float] = {}  # within which two marks of a side are one
     for name, points in sides.items():
-        coincidence_um[name] = COINCIDENT * max(1.0, float(np.abs(points[used]).max()))
-        if np.ptp(points[used], axis=0).max() <= coincidence_um[name]:
-            x, y = points[used[0]]
+        used_points = points[used]
+        largest_um = max(1.0, float(np.abs(used_points).max()))
+        coincidence_um[name] = COINCIDENT * largest_um
+        if np.ptp(used_points, axis=0).max() <= coincidence_um[name]:
+            x, y = used_points[0]
             raise MarkError(
                 f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are"
                 " needed."
@@ -160,13 +172,18 @@ def check_pairs(
 
 
 def _repeated(sides: dict[str, Floats], used: Ints, coincidence_um: dict[str, float]) -> Ints:
-    """Rows that repeat earlier ones; MarkError where they do so on one side alone."""
+    """Rows that repeat earlier ones; MarkError where they do so on one side alone.
+
+    ``sides`` are the places (n, 2) by the side's name, ``used`` the rows that count, and
+    ``coincidence_um`` the distances within which two marks of a side are one.
+    """
     from scipy.spatial import KDTree
 
     repeated_rows: set[int] = set()
     for name, other_name in (("moving", "fixed"), ("fixed", "moving")):
         points, partners = sides[name], sides[other_name]
-        for a, b in sorted(KDTree(points[used]).query_pairs(coincidence_um[name])):
+        coincident = KDTree(points[used]).query_pairs(coincidence_um[name])
+        for a, b in sorted(coincident):
             first_row, second_row = used[a], used[b]
             distance = float(np.linalg.norm(partners[first_row] - partners[second_row]))
             if distance > coincidence_um[other_name]:
@@ -211,11 +228,12 @@ def points_of(marks: ArrayLike, name: str) -> Floats:
 
 
 def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats:
-    """Information (n, 2, 2) of pairs with weights (n,) or covariances (n, 2, 2).
+    """Information (n, 2, 2) of pairs with weights (n,) or covariances (n, 2, 2); None: all alike.
 
-    What is wrong goes into ``faults``.
+    What is wrong goes into ``faults``; the information of wrong covariances is zero.
     """
-    weights = np.ones(n) if weights is None else np.array(weights, dtype=np.float64)
+    stated = np.ones(n) if weights is None else weights
+    weights = np.array(stated, dtype=np.float64)
     if weights.shape == (n,):
         if not np.all(np.isfinite(weights) & (weights >= 0.0)):
             faults.append("weights have to be finite and not negative")
@@ -228,10 +246,12 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
         return np.zeros((n, 2, 2))
     a, b, c, d = weights.reshape(n, 4).T
     largest = np.maximum(a, d)
+    is_covariance = np.isfinite(weights).all(axis=(1, 2))
     with np.errstate(invalid="ignore"):
-        is_positive = (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
-        is_covariance = is_positive & (np.abs(b - c) <= 1e-9 * largest)
-    bad_rows = np.flatnonzero(~(is_covariance & np.isfinite(weights).all(axis=(1, 2))))
+        determinants = a * d - b**2
+        is_covariance &= (a > 0) & (determinants > 1e-12 * largest**2)
+        is_covariance &= np.abs(b - c) <= 1e-9 * largest
+    bad_rows = np.flatnonzero(~is_covariance)
     if bad_rows.size:
         faults.append(f"covariance of mark {listed(bad_rows)} not symmetric and positive")
         return np.zeros((n, 2, 2))
@@ -244,29 +264,33 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     MarkError where they only fit with the other handedness: columns swapped on one side, or an
     undeclared mirror.
     """
+    share = pairs.share
     w = as_complex(pairs.fixed, False)
-    w = w - pairs.share @ w
+    w = w - share @ w
+    # Of either hand, the similarity that fits best and what it leaves.
     hand_rms: list[float] = []
     rotations: list[complex] = []
     for is_mirrored in (False, True):
         z = as_complex(pairs.moving, is_mirrored)
-        z = z - pairs.share @ z
-        product = np.sum(pairs.share * z.conj() * w)
-        rotation = product / np.sum(pairs.share * np.abs(z) ** 2)
-        mean_square = np.sum(pairs.share * np.abs(w - rotation * z) ** 2)
+        z = z - share @ z
+        product = np.sum(share * z.conj() * w)
+        rotation = product / np.sum(share * np.abs(z) ** 2)
+        mean_square = np.sum(share * np.abs(w - rotation * z) ** 2)
         rotations.append(rotation)
         hand_rms.append(float(np.sqrt(mean_square)))
     if mirrored is None:
         return hand_rms[True] < hand_rms[False]
     rms_um, other_um = hand_rms[mirrored], hand_rms[not mirrored]
-    spread = np.sqrt(pairs.share @ np.abs(w) ** 2)
+    spread = np.sqrt(share @ np.abs(w) ** 2)
     # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks'
     # spread, to be refused.
     if len(pairs) < 3 or rms_um < 0.05 * spread or other_um > 0.2 * rms_um:
         return mirrored
     # Exchanged columns are a mirror image that is turned by -90 degrees.
-    rotation = rotations[not mirrored] / abs(rotations[not mirrored])
-    is_exchanged = not mirrored and max(abs(rotation.real), abs(rotation.imag + 1.0)) < 0.2
+    other_rotation = rotations[not mirrored]
+    rotation = other_rotation / abs(other_rotation)
+    off_exchange = max(abs(rotation.real), abs(rotation.imag + 1.0))
+    is_exchanged = not mirrored and off_exchange < 0.2
     exchange_text = "x and y are exchanged on one side: exchange the two columns of that table"
     declare_text = (
         "one map shows the other side: declare it as mirrored (mirrored=True, or `mirror=True`)"

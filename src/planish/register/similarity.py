@@ -28,6 +28,7 @@ class RigidModel(ParametricModel):
 
         Gauss-Newton on the angle from there for covariances.
         """
+        # The map is ``w = middle + turn (z - z_mean)`` in complex numbers.
         z_mean, middle, product, square = _sums(pairs, mirrored)
         turn = product / abs(product)
         if not pairs.isotropic:
@@ -42,9 +43,11 @@ class RigidModel(ParametricModel):
                 design = similarity_columns(turned / size, only_turn=True)
                 error_xy = np.stack([error.real, error.imag], axis=-1)
                 step = least_squares(whitening, design, error_xy, self.name)
-                middle += complex(step[0], step[1])
-                turn *= np.exp(1j * step[2] / size)
+                step_x, step_y, step_turn = step
+                middle += complex(step_x, step_y)
+                turn *= np.exp(1j * step_turn / size)
                 step_length = float(np.abs(step).max())
+                # The last digits do not settle: then a step is no shorter than the one before.
                 if step_length < 1e-15 * size or step_length >= last_length:
                     break
                 last_length = step_length
@@ -55,7 +58,8 @@ class RigidModel(ParametricModel):
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
-        scaled_offsets = (transform(points) - transform(frame[0])) / frame[1]
+        middle, size = frame
+        scaled_offsets = (transform(points) - transform(middle)) / size
         return similarity_columns(as_complex(scaled_offsets, False), only_turn=True)
 
 
@@ -68,25 +72,25 @@ class SimilarityModel(ParametricModel):
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Linear least squares; closed form in complex numbers for equal weights of both axes."""
-        middle, size = pairs.frame()
         if pairs.isotropic:
             z_mean, w_mean, product, square = _sums(pairs, mirrored)
             alpha = product / square
             beta = w_mean - alpha * z_mean
             angle = float(np.angle(alpha))
-            shift_um = (beta.real, beta.imag)
-            return Similarity(
-                scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored
-            )
+            turn = Similarity(scale=abs(alpha), rotation_rad=angle, mirrored=mirrored)
+            return replace(turn, shift_um=(beta.real, beta.imag))
+        # About the middles, and scaled: ``target + beta + (a + ib) z``.
+        middle, size = pairs.frame()
         design = similarity_columns(as_complex(pairs.moving - middle, mirrored) / size)
         target = pairs.share @ pairs.fixed
         error = pairs.fixed - target
-        beta_x, beta_y, a, b = least_squares(pairs.whitening(), design, error, self.name)
+        parameters = least_squares(pairs.whitening(), design, error, self.name)
+        beta_um, (a, b) = parameters.reshape(2, 2)
         _refuse_no_rotation(complex(a, b) / size, 1.0)
         scale = float(np.hypot(a, b)) / size
         angle = float(np.arctan2(b, a))
         turn = Similarity(scale=scale, rotation_rad=angle, mirrored=mirrored)
-        shift_um = target + np.array([beta_x, beta_y]) - turn(middle)
+        shift_um = target + beta_um - turn(middle)
         return replace(turn, shift_um=pair_of(shift_um))
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
@@ -111,23 +115,23 @@ class AffineModel(ParametricModel):
         refuse_line(pairs, self.name)
         target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         design = affine_columns((pairs.moving - middle) / size)
-        parameters = least_squares(pairs.whitening(), design, pairs.fixed - target, self.name)
-        x_row, y_row = parameters[2:].reshape(2, 2) / size
-        return Affine(
-            linear=(pair_of(x_row), pair_of(y_row)),
-            source=pair_of(middle),
-            target=pair_of(target + parameters[:2]),
-        )
+        error = pairs.fixed - target
+        parameters = least_squares(pairs.whitening(), design, error, self.name)
+        x_row, y_row = map(pair_of, parameters[2:].reshape(2, 2) / size)
+        target_um = pair_of(target + parameters[:2])
+        return Affine(linear=(x_row, y_row), source=pair_of(middle), target=target_um)
 
     def design(self, _transform: Affine, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x and y, then the linear part row by row."""
-        return affine_columns((points - frame[0]) / frame[1])
+        middle, size = frame
+        return affine_columns((points - middle) / size)
 
 
 def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, float]:
     """Weighted means of both sides, and means of ``conj(z) w`` and ``|z|**2`` around them.
 
-    Both sides are taken as complex numbers.
+    The moving side ``z`` and the fixed side ``w`` are taken as complex numbers, in um. MarkError
+    where the means fix no rotation.
     """
     share = pairs.share
     z = as_complex(pairs.moving, mirrored)
@@ -153,10 +157,9 @@ def similarity_columns(z: Complexes, *, only_turn: bool = False) -> Floats:
 
     The turn alone may take the place of alpha.
     """
-    columns = [np.ones(z.shape), np.full(z.shape, 1j), 1j * z]
-    if not only_turn:
-        columns.insert(2, z)
-    design = np.stack(columns, axis=-1)
+    shifts = [np.ones(z.shape), np.full(z.shape, 1j)]
+    by_alpha = [1j * z] if only_turn else [z, 1j * z]
+    design = np.stack([*shifts, *by_alpha], axis=-1)
     return np.stack([design.real, design.imag], axis=-2)
 
 
@@ -166,8 +169,9 @@ def affine_columns(scaled_points: Floats) -> Floats:
     The linear part goes row by row.
     """
     design = np.zeros((*scaled_points.shape[:-1], 2, 6))
-    design[..., 0, 0] = design[..., 1, 1] = 1.0
-    design[..., 0, 2:4] = design[..., 1, 4:6] = scaled_points
+    design[..., :2] = np.eye(2)
+    design[..., 0, 2:4] = scaled_points
+    design[..., 1, 4:] = scaled_points
     return design
 
 
@@ -206,7 +210,8 @@ class ProjectiveModel(ParametricModel):
 
         scaled_moving = (pairs.moving - middle) / size
         scaled_fixed = (pairs.fixed - target) / target_size
-        transform = build(_direct_linear(scaled_moving, scaled_fixed, np.sqrt(share)))
+        first_h = _direct_linear(scaled_moving, scaled_fixed, np.sqrt(share))
+        transform = build(first_h)
         whitening = pairs.whitening()
         last_length = np.inf
         for _ in range(_STEPS):
@@ -218,16 +223,13 @@ class ProjectiveModel(ParametricModel):
                 )
             design = self.design(transform, (middle, size), pairs.moving)
             step = least_squares(whitening, design, error, self.name)
-            # Shortened until the error does not rise.
-            start_cost = cost(transform)
+            # Shortened until the error does not rise; without a step where it always does. A cost
+            # that is not finite lies below no limit.
+            cost_limit = cost(transform) * (1 + 1e-9) + 1e-300
             h = np.array(transform.homography)
             full_step = np.append(step, 0.0).reshape(3, 3)
             trials = (build(h + full_step / 2**k) for k in range(12))
-            cost_limit = start_cost * (1 + 1e-9) + 1e-300
-            transform = next(
-                (t for t in trials if np.isfinite(after := cost(t)) and after <= cost_limit),
-                transform,
-            )
+            transform = next((t for t in trials if cost(t) <= cost_limit), transform)
             step_length = float(np.abs(step).max())
             # The last digits do not settle: steps of rounding are as long as the one before.
             if step_length < 1e-15 or (step_length < 1e-9 and step_length >= 0.5 * last_length):
@@ -238,28 +240,38 @@ class ProjectiveModel(ParametricModel):
     def design(self, transform: Projective, _frame: Frame, points: Floats, /) -> Floats:
         """The first eight numbers of the 3 x 3 matrix, whose last one is 1."""
         h = np.array(transform.homography)
+        linear, shift = h[:, :2], h[:, 2]
         scaled_points = (points - transform.source) / transform.source_size
-        denominators = (scaled_points @ h[2, :2] + h[2, 2])[..., None]
-        image = (scaled_points @ h[:2, :2].T + h[:2, 2]) / denominators
-        rows = np.concatenate([scaled_points, np.ones_like(denominators)], axis=-1) / denominators
+        denominators = (scaled_points @ linear[2] + shift[2])[..., None]
+        image = (scaled_points @ linear[:2].T + shift[:2]) / denominators
+        ones = np.ones_like(denominators)
+        rows = np.concatenate([scaled_points, ones], axis=-1) / denominators
         design = np.zeros((*points.shape[:-1], 2, 8))
-        design[..., 0, 0:3] = design[..., 1, 3:6] = rows
-        design[..., 6:8] = -image[..., None] * rows[..., None, :2]
+        design[..., 0, :3] = rows
+        design[..., 1, 3:6] = rows
+        design[..., 6:] = -image[..., None] * rows[..., None, :2]
         return transform.target_size * design
 
 
 def _direct_linear(moving: Floats, fixed: Floats, weight_roots: Floats) -> Floats:
-    """Homography (3, 3) with the least algebraic error, from points scaled to size 1."""
+    """Homography (3, 3) with the least algebraic error, from points (n, 2) scaled to size 1.
+
+    CannotRegister where they fix none, or show the sheet from both sides at once.
+    """
     homogeneous = np.column_stack([moving, np.ones(len(moving))])
+    # Two equations a pair for the nine numbers of the matrix, row by row.
     equations = np.zeros((len(moving), 2, 9))
-    equations[:, 0, 0:3] = equations[:, 1, 3:6] = homogeneous
-    equations[:, :, 6:9] = -fixed[:, :, None] * homogeneous[:, None, :]
-    equations = (weight_roots[:, None, None] * equations).reshape(-1, 9)
-    _, singular, right_vectors = np.linalg.svd(equations, full_matrices=len(moving) < 5)
+    equations[:, 0, :3] = homogeneous
+    equations[:, 1, 3:6] = homogeneous
+    equations[:, :, 6:] = -fixed[:, :, None] * homogeneous[:, None]
+    equations *= weight_roots[:, None, None]
+    # Four pairs make eight equations: the ninth vector stands in the full matrix alone.
+    _, singular, right_vectors = np.linalg.svd(equations.reshape(-1, 9), len(moving) < 5)
     h = right_vectors[-1].reshape(3, 3)
     denominators = homogeneous @ h[2]
     has_one_sign = np.all(denominators > 0) or np.all(denominators < 0)
-    if singular[7] < 1e-7 * singular[0] or abs(h[2, 2]) < 1e-6 or not has_one_sign:
+    is_free = singular[7] < 1e-7 * singular[0] or abs(h[2, 2]) < 1e-6
+    if is_free or not has_one_sign:
         raise CannotRegister(
             "The marks do not fix one projective transformation: too many lie on one line, or the"
             " pairs do not show one flat sheet. Check the pairs, add marks beside that line, or fit"
