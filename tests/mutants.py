@@ -505,8 +505,8 @@ MUTANTS = [
     ),
     Mutant(
         "validate/truth.py",
-        "return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)",
-        "return np.abs(self.linked_material[..., 0] - u)",
+        "return np.hypot(linked_u - u, linked_v - v)",
+        "return np.abs(linked_u - u)",
         "validate/test_ledger.py -k shift_of",
     ),
 ]

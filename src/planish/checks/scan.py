@@ -97,7 +97,7 @@ def read_scan(
 
 
 def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
-    """Voxels through the sheet, along its normal."""
+    """Voxels through the sheet, along its normal: medians of its height and slope stand for it."""
     frame = Frame.of(measured)
     voxel_um = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
     heights_um = np.abs(measured["top"].values - measured["bottom"].values)

@@ -461,7 +461,8 @@ def _filled(t: _Stack) -> Iterator[Fault]:
 def _far_copies(t: _Stack) -> Iterator[Fault]:
     """Blocks of slices that were there before, with noise or compression of their own.
 
-    A jump leads back to them.
+    A jump leads back to them. Slice k, behind a jump, is a copy where some earlier one differs from
+    it by less than half of what neighbours do; the copies go on as long as that holds.
     """
     log = _log(t.d1)
     for k in range(2, len(t.s) - 1):

@@ -141,7 +141,11 @@ def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
 def judge_marks(
     rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale
 ) -> Check:
-    """Say what marks and thickness mean for the spacing along the axis through a sheet."""
+    """Say what marks and thickness mean for the spacing along the axis through a sheet.
+
+    Marks that are too uncertain leave it to the thickness, if that is surer. A scale beside 1 by
+    more than its errors is a fault where nothing else explains it as well.
+    """
     axis, stated_um = _spacing(sheet)
     # The centre surface is smoothed, and which surface is neutral is not known.
     scale_error = float(np.hypot(marks.error, 0.01))
@@ -186,7 +190,10 @@ def _judged(
 
 
 def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
-    """Whether it is the spacing or a stretch along the slope, and what speaks for it."""
+    """Whether it is the spacing or a stretch along the slope, and what speaks for it.
+
+    A state and the end of a sentence. Evidence is in variances, as of `ThroughScale`.
+    """
     error = np.hypot(slope.error, max(marks.error, _NATURAL))
     do_agree = abs(slope.scale - marks.scale) < _BEYOND * error
     if slope.excludes_one and do_agree:

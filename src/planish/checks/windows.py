@@ -289,7 +289,10 @@ def _sums(part: NDArray[np.float32], n_before: int = 0, *, edge: int) -> Sums:
 
 
 def _joined(axis: Axis, window_box: Box, sums: list[Sums]) -> Window:
-    """Join the sums of the parts of a window, which are taken out of ``sums``."""
+    """Join the sums of the parts of a window, which are taken out of ``sums`` to free the memory.
+
+    Sums become means over the voxels of a slice.
+    """
     voxels = _voxels_of_slice(window_box, axis)
     squares, products, parts = map(list, zip(*sums, strict=True))
     sums.clear()

@@ -4,6 +4,7 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,9 +67,8 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
     """
-    return _make(
-        [layer], out, options, ("about", "volume", *MAP_SECTIONS), compute, progress, "pl.map_sheet"
-    )
+    sections = ("about", "volume", *MAP_SECTIONS)
+    return _make([layer], out, options, sections, compute, progress, "pl.map_sheet")
 
 
 def link(
@@ -180,13 +180,14 @@ def study_of(
     sources = [_source(layer, is_link=len(layers) > 1) for layer in layers]
     if all(source.kind != "volume" for source in sources):
         _refuse_options_of_volumes(options, [source.path for source in sources])
-    if len(sources) > 2 and options.get("registration", {}).get("marks"):
+    registration = options.get("registration", {})
+    if len(sources) > 2 and registration.get("marks"):
         raise StudyError(
             "`marks` holds pairs of two layers, but more are given. Write them into a study file"
             " (docs/linking.md)."
         )
     names = _all_names(sources)
-    tables = [_table(name, source, options) for name, source in zip(names, sources, strict=True)]
+    tables = [*map(_table, names, sources, repeat(options))]
     link_options = {name: options[name] for name in ("about", *LINK_SECTIONS) if name in options}
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **link_options})
@@ -198,7 +199,8 @@ def study_of(
 def _refuse_options_of_volumes(options: Mapping[str, Fields], files: Sequence[Path]) -> None:
     """Raise StudyError for what is given and means nothing without a volume."""
     names = [name for section in MAP_SECTIONS for name in options.get(section, {})]
-    names += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
+    shared_names = (*_OF_BOTH, "md_deg")  # with images, and with runs
+    names += [name for name in options.get("volume", {}) if name not in shared_names]
     if names:
         names_text = ", ".join(f"`{name}`" for name in names)
         files_text = ", ".join(file.name for file in files)
@@ -216,7 +218,10 @@ class PathSource(NamedTuple):
     name: str | None
 
 
-def _source(layer: LayerSource, *, is_link: bool) -> PathSource | ArraySource:
+Source = PathSource | ArraySource
+
+
+def _source(layer: LayerSource, *, is_link: bool) -> Source:
     """Tell a run, an image and a volume; its own reader names its faults.
 
     A text may be ``NAME=PATH``.
@@ -245,7 +250,8 @@ def _kind_of(path: Path) -> Kind:
     return "volume" if is_section_folder(place.path) or not is_image(place) else "image"
 
 
-def _table(name: str, source: PathSource | ArraySource, options: Mapping[str, Entries]) -> Entries:
+def _table(name: str, source: Source, options: Mapping[str, Entries]) -> Entries:
+    """The layer of a source as a study has it, with those options that are for its kind."""
     table = {"path": str(source.path.absolute())}
     volume = options.get("volume", {})
     array_options = source.options if isinstance(source, ArraySource) else {}
@@ -253,15 +259,13 @@ def _table(name: str, source: PathSource | ArraySource, options: Mapping[str, En
         return {"name": name, "run": table["path"], "md_deg": volume.get("md_deg")}
     if source.kind == "image":
         size_options = {name: volume[name] for name in _OF_BOTH if name in volume}
-        return {
-            "name": name,
-            "image": size_options | array_options | options.get("image", {}) | table,
-        }
+        image_options = array_options | options.get("image", {})
+        return {"name": name, "image": size_options | image_options | table}
     map_options = {k: options[k] for k in MAP_SECTIONS if k in options}
     return {"name": name, "volume": array_options | volume | table, **map_options}
 
 
-def _all_names(sources: Sequence[PathSource | ArraySource]) -> list[str]:
+def _all_names(sources: Sequence[Source]) -> list[str]:
     """Names as given.
 
     Sheet and image where there is one of each; else of the files, with folders where those agree.
@@ -277,7 +281,8 @@ def _all_names(sources: Sequence[PathSource | ArraySource]) -> list[str]:
     return _as_given(sources, names)
 
 
-def _as_given(sources: Sequence[PathSource | ArraySource], names: Sequence[str]) -> list[str]:
+def _as_given(sources: Sequence[Source], names: Sequence[str]) -> list[str]:
+    """The names, but where a source was given one."""
     return [source.name or name for source, name in zip(sources, names, strict=True)]
 
 
@@ -290,7 +295,8 @@ def sections_of(
 ) -> tuple[dict[str, Entries], Compute | None]:
     """Sort what a call was given into sections of a study, and what may be used.
 
-    StudyError names all faults.
+    An option is a section with a dict or a model, or a word of one of its options; None is not
+    given. ``call`` is what the user called. StudyError names all faults.
     """
     word_places = words_of([*sections, "compute"])
     tables: Entries = {}
@@ -308,7 +314,8 @@ def sections_of(
             else:
                 tables[word] = table
         elif word in stated and word not in word_places:
-            faults.append(_unknown(word, [*sections, *word_places, "out", "progress", "chain"]))
+            known_words = [*sections, *word_places, "out", "progress", "chain"]
+            faults.append(_unknown(word, known_words))
     given_words = {word: stated[word] for word in stated if word in word_places}
     for word in put_options(tables, word_places, given_words):
         place = word_places[word][0]

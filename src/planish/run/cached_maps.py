@@ -52,7 +52,8 @@ class CachedMaps(NamedTuple):
         volumes = [pair for pair in pairs if pair[0].kind == "volume"]
         for layer, sha256 in volumes:
             name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
-            mapping = Study(layers=(changed(layer, marks=None, surface={"corrections": None}),))
+            uncorrected = changed(layer, marks=None, surface={"corrections": None})
+            mapping = Study(layers=(uncorrected,))
             # The memory decides how wide the columns are.
             input_hashes = [sha256, str(compute.memory_bytes)]
             corrections = asked_corrections(layer)
@@ -112,9 +113,8 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[Layers, L
 
 def _has_same_surface(layer: GivenLayer, old_layer: GivenLayer) -> bool:
     """Whether volume and search are those of an old layer, whatever was corrected by hand."""
-    surface, old_surface = (
-        changed(params.surface, corrections=None) for params in (layer, old_layer)
-    )
+    surface = changed(layer.surface, corrections=None)
+    old_surface = changed(old_layer.surface, corrections=None)
     return layer.volume == old_layer.volume and surface == old_surface
 
 
@@ -129,7 +129,8 @@ def next_step(
     # The files of arrays are removed when this is read.
     has_arrays = any(Path(layer.path).parent == inputs for layer in study.layers)
     reference = quoted(study.layers[-1].path)
-    paths = [str(cache.path) for cache in caches.values() if cache.path.exists()]
+    places = [cache.path for cache in caches.values()]
+    paths = [str(place) for place in places if place.exists()]
     if paths:
         text = (
             f"The maps of the volume are kept in {' and '.join(paths)}; the same command goes"

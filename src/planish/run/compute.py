@@ -60,6 +60,7 @@ _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 
 
 def _bytes_of(text: Any) -> Any:
+    """Bytes of an amount such as 4GB; what is no text is left to the model."""
     if not isinstance(text, str):
         return text
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]*)\s*", text)
@@ -109,11 +110,9 @@ class Compute(Params):
         """Most memory, in bytes."""
         from planish.io.guard import default_memory_limit
 
-        return (
-            self.memory_bytes
-            if self.memory_bytes is not None
-            else int(default_memory_limit() * 2 / 3)
-        )
+        if self.memory_bytes is not None:
+            return self.memory_bytes
+        return int(default_memory_limit() * 2 / 3)
 
 
 def column_step(
@@ -144,8 +143,9 @@ def column_step(
     ResourceError
         If the memory does not hold the maps even with wide columns.
     """
-    voxel = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
-    pitch = (voxel[frame.rows] * voxel[frame.cols]) ** 0.5
+    sides_um = map(float, volume.attrs["voxel_um"])
+    voxel_um = dict(zip("zyx", sides_um, strict=True))
+    pitch = (voxel_um[frame.rows] * voxel_um[frame.cols]) ** 0.5
     if column_um is not None:
         if column_um < 0.999 * pitch:
             raise InputError(
@@ -154,9 +154,11 @@ def column_step(
             )
         return max(1, round(column_um / pitch))
     columns = volume.sizes[frame.rows] * volume.sizes[frame.cols]
-    step = max(1, math.ceil((bytes_to_map(columns) / compute.for_work) ** 0.5))
+    times_too_many = bytes_to_map(columns) / compute.for_work
+    step = max(1, math.ceil(times_too_many**0.5))
     if step > 1 and step * pitch > _WIDEST_UM:
-        needed = bytes_to_map(columns / max(int(_WIDEST_UM / pitch), 1) ** 2) + PROGRAM_BYTES
+        widest_step = max(int(_WIDEST_UM / pitch), 1)
+        needed = bytes_to_map(columns / widest_step**2) + PROGRAM_BYTES
         raise ResourceError(
             f"The maps of {columns / 1e6:.0f} million columns need {enough_gb(needed)} GB of memory"
             f" even with columns of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed."

@@ -35,9 +35,13 @@ def explain_dataset(data: xr.Dataset, params: ExplainParams) -> Explained:
     check_model(params)
     maps = maps_of_dataset(data, "explain")
     errors = _errors_in(named(maps, params.response).group, params.cell_um)
-    return explain_maps(
-        _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
-    )
+    return _explained(params, maps, errors)
+
+
+def _explained(params: ExplainParams, maps: NamedMaps, errors: Mapping[str, float]) -> Explained:
+    """Explain the response by the other maps, whose standard errors over cells are given."""
+    model_maps = _model_maps(params, maps, errors)
+    return explain_maps(model_maps, cell_um=params.cell_um, corrected=params.corrected)
 
 
 def explain_run(run: Run, params: ExplainParams) -> Explained:
@@ -51,14 +55,13 @@ def explain_run(run: Run, params: ExplainParams) -> Explained:
     check_model(params)
     maps = maps_of(run)
     of_model = [named(maps, name) for name in (params.response, *params.of)]
-    has_sheet = any(run.results.layer(m.layer).sheet is not None for m in of_model)
+    layers = [run.results.layer(m.layer) for m in of_model]
+    has_sheet = any(layer.sheet is not None for layer in layers)
     errors: dict[str, float] = {}
     # Maps of one name, of two sheets, share no surface.
     if has_sheet and "surfaces" in run.groups:
         errors = _errors_in(run.groups["surfaces"], params.cell_um)
-    explained = explain_maps(
-        _model_maps(params, maps, errors), cell_um=params.cell_um, corrected=params.corrected
-    )
+    explained = _explained(params, maps, errors)
     figures = (POSITION, CORRELATION) if run.results.is_link else ()
     trust = trust_of_maps(run, of_model, *figures)
     declared = is_declared(run.study.explain, params)
@@ -94,8 +97,9 @@ def with_declared_model(run: Run) -> Run:
 def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
     """Residuals of a model on the pixels of a map: each pixel has that of its cell."""
     grid = Grid.of(like)
+    half_um = explained.cell_um / 2
     residuals = explained.cells["residual"].reindex(
-        cell_y=grid.y_um, cell_x=grid.x_um, method="nearest", tolerance=explained.cell_um / 2
+        cell_y=grid.y_um, cell_x=grid.x_um, method="nearest", tolerance=half_um
     )
     response = explained.response.replace("_", " ")
     attrs = {"units": explained.units, "long_name": f"What the model leaves of {response}"}
@@ -106,24 +110,28 @@ def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
 def _model_maps(params: ExplainParams, maps: NamedMaps, errors: Mapping[str, float]) -> ModelMaps:
     """The maps of a model, the masks of all groups that they are of, and regions as factors."""
     response = named(maps, params.response)
-    predictors = {name: named(maps, name) for name in params.of}
-    groups = {id(m.group): m.group for m in (response, *predictors.values())}
-    masks = [group["valid"] for group in groups.values() if "valid" in group]
-    grid = Grid.of(response.values)
-    for name, predictor in predictors.items():
-        if predictor.values.dims != response.values.dims or predictor.values.shape != grid.shape:
+    response_values = response.values
+    grid = Grid.of(response_values)
+    predictors: dict[str, xr.DataArray] = {}
+    groups = [response.group]
+    for name in params.of:
+        predictor = named(maps, name)
+        values = predictor.values
+        if values.dims != response_values.dims or values.shape != grid.shape:
             raise InputError(
-                f"{name} has {predictor.values.shape} pixels, {params.response} has {grid.shape}."
+                f"{name} has {values.shape} pixels, {params.response} has {grid.shape}."
                 " Give maps on one grid (planish.resample_maps)."
             )
-    values = {name: predictor.values for name, predictor in predictors.items()}
+        predictors[name] = values
+        groups.append(predictor.group)
+    masks = {id(group): group["valid"] for group in groups if "valid" in group}
     return ModelMaps(
-        response=response.values.rename(params.response),
-        predictors=values | _factors(params, response.values, grid),
-        masks=masks,
+        response=response_values.rename(params.response),
+        predictors=predictors | _factors(params, response_values, grid),
+        masks=[*masks.values()],
         grid=grid,
         errors=errors,
-        sheet=next((m.group for m in predictors.values()), xr.Dataset()),
+        sheet=groups[1] if params.of else xr.Dataset(),
     )
 
 

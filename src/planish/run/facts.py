@@ -101,9 +101,10 @@ def _error_facts(errors: xr.DataArray, column_um2: float) -> Entries:
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
-    """Distribution of each property over the columns.
+    """Distribution of each property over the columns (y, x), with its standard errors.
 
-    Those that were measured nowhere are left out.
+    Those that were measured nowhere are left out. The coefficient of variation is None where a
+    property has no zero of its own, as a height.
     """
     facts: dict[str, PropertyFacts] = {}
     for name, data in surfaces.data_vars.items():

@@ -128,7 +128,10 @@ def scales(
 
 
 def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) -> Scales:
-    """Octaves of maps of a Dataset; errors as of :func:`scales`."""
+    """Octaves of maps of a Dataset; errors as of :func:`scales`.
+
+    Maps that are halves of others are none of the choices.
+    """
     maps = maps_of_dataset(data, "scales")
     of_halves = {name for pair in halves.values() if pair != ROWS for name in pair}
     all_names = [name for name in choices(maps) if name not in of_halves]
@@ -149,11 +152,9 @@ def scales_of_dataset(data: xr.Dataset, params: ScalesParams, halves: Halves) ->
                 first, second = (_counted(named(maps, half)) for half in pair)
                 of_pairs[number] = 0.5 * (first - second)
         pixel_um = Grid.of(sources[0].values).pixel_um
-        differences = [
-            HalfDifferences(of_maps=of_maps, pixel_um=pixel_um, of_rows=of_maps is of_rows)
-            for of_maps in (of_rows, of_pairs)
-            if of_maps
-        ]
+        by_rows = HalfDifferences(of_maps=of_rows, pixel_um=pixel_um, of_rows=True)
+        by_pairs = HalfDifferences(of_maps=of_pairs, pixel_um=pixel_um, of_rows=False)
+        differences = [halves for halves in (by_rows, by_pairs) if halves.of_maps]
         return Reading(scaled, pixel_um, differences)
 
     return _scales(params, maps, all_names, read)
@@ -184,14 +185,13 @@ def _band_maps(source: NamedMap, name: str) -> dict[str, xr.DataArray]:
     like = source.values
     values = _counted(source)
     field = OctaveField(np.isfinite(values), Grid.of(like).pixel_um)
-    title = str(like.attrs.get("long_name", name))
+    facts = _facts(source, name)
+    coords = {dim: like[dim] for dim in like.dims}
     bands: dict[str, xr.DataArray] = {}
-    for (low_um, high_um), band in zip(field.octaves, field.band_maps(values), strict=True):
-        attrs = {
-            "units": str(like.attrs.get("units", "1")),
-            "long_name": f"{title}, waves of {low_um:g} to {high_um:g} um",
-        }
-        coords = {dim: like[dim] for dim in like.dims}
+    octaves = zip(field.octaves, field.band_maps(values), strict=True)
+    for (low_um, high_um), band in octaves:
+        waves = f"{facts.title}, waves of {low_um:g} to {high_um:g} um"
+        attrs = {"units": facts.units, "long_name": waves}
         bands[f"{name}_{low_um:g}_{high_um:g}_um"] = xr.DataArray(band, coords, attrs=attrs)
     return bands
 
@@ -211,15 +211,15 @@ def scales_of_run(run: Run, params: ScalesParams) -> Scales:
         is_one_sheet = len({source.layer for source in sources}) == 1
         if is_one_sheet and columns[0] is not None and run.regions is None:
             return _read_columns(columns[0], facts)
-        scaled = [
-            _scaled(fact, _counted(source)) for source, fact in zip(sources, facts, strict=True)
-        ]
-        octaves = [
-            _halves_of(of_sheet, {number: facts[number].map})
-            for number, of_sheet in enumerate(columns)
-            if of_sheet is not None
-        ]
-        return Reading(scaled, Grid.of(sources[0].values).pixel_um, octaves)
+        scaled: list[ScaledMap] = []
+        halves: list[HalfDifferences] = []
+        for number, (source, fact, of_sheet) in enumerate(
+            zip(sources, facts, columns, strict=True)
+        ):
+            scaled.append(_scaled(fact, _counted(source)))
+            if of_sheet is not None:
+                halves.append(_halves_of(of_sheet, {number: fact.map}))
+        return Reading(scaled, Grid.of(sources[0].values).pixel_um, halves)
 
     octaves = _scales(params, maps, _shown_maps(run, maps), read)
     references = [] if params.against is None else [params.against]
@@ -250,7 +250,8 @@ class Reading:
 def _scales(params: ScalesParams, maps: NamedMaps, all_names: Sequence[str], read: Read) -> Scales:
     """Octaves of the chosen maps, and of each with the map that is named ``against``.
 
-    InputError where a map holds angles of an axis.
+    ``read`` gives a map, and the other one, by their names on one grid. Without a choice, all of
+    ``all_names`` are taken. InputError where a map holds angles of an axis.
     """
     against = params.against
     chosen = params.of or [name for name in all_names if name != against]
@@ -276,13 +277,21 @@ def _scales(params: ScalesParams, maps: NamedMaps, all_names: Sequence[str], rea
     if against is None:
         return octaves
     other = _facts(named(maps, against), against)
-    of_other = {f"against_{name}": getattr(other, name) for name in ("title", "units", "form_um")}
+    of_other = {
+        "against_title": other.title,
+        "against_units": other.units,
+        "against_form_um": other.form_um,
+    }
     return octaves.model_copy(update=of_other)
 
 
 def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> Entries:
-    """The formation number of the first map, or the reason why there is none."""
-    values, difference = reading.maps[0].values, None
+    """The formation number of the first map, or the reason why there is none.
+
+    Half the difference of its half measurements takes its noise off, where they have its pixels.
+    """
+    values = reading.maps[0].values
+    difference = None
     for half in reading.halves:
         if 0 in half.of_maps and half.of_maps[0].shape == values.shape:
             difference = half.of_maps[0]
@@ -300,6 +309,7 @@ def _formation(reading: Reading, sheet: RandomSheet, cell_um: float) -> Entries:
 
 
 def _random_sheet(params: ScalesParams) -> RandomSheet | None:
+    """The random sheet of the fibres that are stated; None where they are not."""
     stated = [getattr(params, name) for name in FIBRES]
     if None in stated:
         return None
@@ -308,6 +318,7 @@ def _random_sheet(params: ScalesParams) -> RandomSheet | None:
 
 
 def _facts(source: NamedMap, name: str) -> MapScales:
+    """What a map is, before it is looked at; ``form_um`` is NaN where no form was taken off."""
     attrs = source.values.attrs
     return MapScales(
         map=str(source.values.name),
@@ -334,7 +345,8 @@ def _counted(source: NamedMap) -> Array:
     values = source.values.values.astype(np.float32)
     if "valid" not in source.group or source.values.name == "valid":
         return values
-    return np.where(source.group["valid"].values.astype(bool), values, np.float32(np.nan))
+    is_valid = source.group["valid"].values.astype(bool)
+    return np.where(is_valid, values, np.float32(np.nan))
 
 
 def _columns_of(run: Run, source: NamedMap) -> SheetColumns | None:

@@ -30,7 +30,11 @@ from planish.run.study import Study
 def register_by_marks(
     layer: MappedLayer, fixed: MappedLayer, holes: HoleSearch, study: Study
 ) -> Registration:
-    """Register one layer to another by the marks that the study names, or by the holes of both."""
+    """Register one layer to another by the marks that the study names, or by the holes of both.
+
+    Marks that have no diameters in a layer have those of its holes, which are searched: holes are
+    masked, and those without a mark are listed with the marks.
+    """
     params = study.registration
     path = layer.params.marks or params.marks
     if path is None:
@@ -46,9 +50,9 @@ def register_by_marks(
         diameters = marks.get(f"{side}_diameter")
         if diameters is None or not np.isfinite(diameters.values[is_placed]).all():
             circles = holes.of(own_layer, other_layer)[["x", "y", "diameter"]]
-            labels = [f"{side} {k + 1}" for k in range(circles.sizes["mark"])]
-            hole_marks = marks_of_holes(circles, layer=side)
-            hole_marks = hole_marks.assign(label=("mark", np.array(labels, dtype=np.str_)))
+            names = [f"{side} {k + 1}" for k in range(circles.sizes["mark"])]
+            labels = np.array(names, dtype=np.str_)
+            hole_marks = marks_of_holes(circles, layer=side).assign(label=("mark", labels))
             marks = with_holes(marks, hole_marks, side, usual_um=usual_um)
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
     search = Entries()
@@ -67,9 +71,8 @@ def fit_marks(
 ) -> FittedTransform:
     """Fit the marks in use that lie in both layers, as a run fits marks that it is given."""
     pairs = marks.isel(mark=np.flatnonzero(paired(marks)))
-    return fit_pairs(
-        holes_of(pairs, "moving"), holes_of(pairs, "fixed"), params=params, mirrored=mirrored
-    )
+    moving, fixed = (holes_of(pairs, side) for side in ("moving", "fixed"))
+    return fit_pairs(moving, fixed, params=params, mirrored=mirrored)
 
 
 def read_given(path: str, moving: MappedLayer | str, fixed: MappedLayer | str) -> xr.Dataset:
@@ -154,7 +157,8 @@ def volume_to_map(marks: xr.Dataset, name: str, groups: Groups) -> xr.Dataset:
     axes = ["xyz".index(axis) for axis in (frame.cols, frame.rows)]
     points = points_of(marks, "volume")[:, axes]
     uv = values_at(groups["flat"], ("u", "v"), points)
-    is_off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
+    is_placed = np.isfinite(points).all(axis=1)
+    is_off_sheet = is_placed & ~np.isfinite(uv).all(axis=1)
     if is_off_sheet.any():
         labels = ", ".join(map(str, marks["label"].values[is_off_sheet]))
         raise MarkError(
@@ -162,5 +166,6 @@ def volume_to_map(marks: xr.Dataset, name: str, groups: Groups) -> xr.Dataset:
             " table."
         )
     marks = marks.drop_vars("volume_z")
-    marks = marks.rename({name: str(name).replace("volume_", "moving_") for name in marks})
-    return marks.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
+    new_names = {name: str(name).replace("volume_", "moving_") for name in marks}
+    u, v = uv.T
+    return marks.rename(new_names).assign(moving_x=("mark", u), moving_y=("mark", v))

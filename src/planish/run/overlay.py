@@ -54,7 +54,8 @@ class ValidMask:
 
     def __call__(self, part: Grid) -> Bools:
         """Say it of some pixels."""
-        is_allowed = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+        centres_um, radii_um = self.circles[:, :2], self.circles[:, 2]
+        is_allowed = ~hole_mask(part, centres_um, radii_um)
         return is_allowed if self.regions is None else is_allowed & ~self.regions.inside(part)
 
     @property
@@ -84,19 +85,17 @@ def _on_tiles(
 ) -> Callable[[Tile], xr.Dataset]:
     """Give the function from a tile of a reference to a layer's maps there.
 
-    The maps have errors where a chain moved the layer to the ``reference``.
+    The maps have errors where a chain moved the layer to the ``reference``, whose pixels are those
+    of ``grid``. Without a chain the layer is the reference itself.
     """
     if chain is None:
         maps = _unmoved(layer_data)
         return lambda tile: maps.isel(y=tile.rows, x=tile.cols)
     images = [shown for shown in (layer_data, reference) if isinstance(shown, xr.DataArray)]
-    errors = PositionErrors(
-        None if isinstance(layer_data, xr.DataArray) else layer_data,
-        chain,
-        grid,
-        None if isinstance(reference, xr.DataArray) else reference,
-        is_scan=any(image.attrs.get("is_scan") for image in images),
-    )
+    is_scan = any(image.attrs.get("is_scan") for image in images)
+    sheet = None if isinstance(layer_data, xr.DataArray) else layer_data
+    fixed_sheet = None if isinstance(reference, xr.DataArray) else reference
+    errors = PositionErrors(sheet, chain, grid, fixed_sheet, is_scan=is_scan)
     on_part = moved_by(layer_data, chain)
 
     def moved(tile: Tile) -> xr.Dataset:
@@ -163,7 +162,8 @@ def overlay_layers(
 ) -> Overlay:
     """Bring registered layers onto the reference's pixels in one step, and mask holes and regions.
 
-    ``regions`` are in um of the reference, or as they were read where this is a volume.
+    ``regions`` are in um of the reference, or as they were read where this is a volume. ``links``
+    are those of all layers but the reference, by name.
     """
     reference = layers[-1]
     if reference.params.kind == "volume" and regions is not None:
@@ -208,25 +208,35 @@ def take_light_off(study: Study, overlay: Overlay) -> Overlay:
     light = fit_light(points[0], points[1], grid, point_um)
     group = LINKED if study.is_sheet_on_image else f"layers/{reference.name}"
     for tile in map_tiles(grid.shape):
-        image = reference.maps[["image"]].isel(y=tile.rows, x=tile.cols).load()
-        field = light.on(grid.part(tile.rows, tile.cols)).astype(np.float32)
-        overlay.store.add(group, grid, tile, image.assign(image=image["image"] - field))
+        on_tile = reference.maps[["image"]].isel(y=tile.rows, x=tile.cols)
+        image = on_tile.load()
+        field = light.on(grid.part(tile.rows, tile.cols))
+        image = image.assign(image=image["image"] - field.astype(np.float32))
+        overlay.store.add(group, grid, tile, image)
     return replace(overlay, light=light)
 
 
 def _circles_of_links(
     layers: Sequence[MappedLayer], links: Mapping[str, Link], chains: Mapping[str, Chain]
 ) -> Floats:
-    """Holes of all layers with their rims, on the reference: (n, 3: x, y, radius in um)."""
+    """Holes of all layers with their rims, on the reference: (n, 3: x, y, radius in um).
+
+    A rim is as wide as the widest that a sheet leaves out. Marks of each link are those of a layer
+    and of the next one on its path, each brought on by the chain from there; the reference has
+    none.
+    """
     sheets = [layer.groups["surfaces"] for layer in layers if layer.kind == "sheet"]
-    rim_um = max((float(sheet.attrs["rim_um"]) for sheet in sheets), default=_IMAGE_RIM_UM)
+    rims_um = [float(sheet.attrs["rim_um"]) for sheet in sheets]
+    rim_um = max(rims_um, default=_IMAGE_RIM_UM)
+    # What was done to an image carries the grey of a hole farther.
     rim_um += max(reach_um(layer.params.image) for layer in layers)
     circles: list[Floats] = []
     for link in links.values():
         marks = link.registration.marks
         for plane, layer in zip(("moving", "fixed"), link.path, strict=False):
             chain = chains.get(layer.name)
-            circles.append(hole_circles(marks, plane, rim_um, chain=chain, image=layer.image))
+            circles_of_layer = hole_circles(marks, plane, rim_um, chain=chain, image=layer.image)
+            circles.append(circles_of_layer)
     return np.concatenate(circles)
 
 
@@ -242,7 +252,9 @@ def resample_layers(
 
     Put into ``sink`` are all maps of each sheet, or ``image``, ``valid``, and ``expected_error`` of
     what was moved with its shares: as ``layers/NAME``, or one sheet and image as one group
-    ``joint_group``. Returns the maps of each layer.
+    ``joint_group``. Returns the maps of each layer. ``layer_sources`` are the layers by name, the
+    reference last, each with the chain that leads there; None for the reference. CannotRegister
+    where a layer lies beside the reference altogether.
     """
     reference, _ = [*layer_sources.values()][-1]
     tile_readers = {
@@ -270,7 +282,8 @@ def resample_layers(
         else:
             sheet, image = maps.values()
             valid = sheet["valid"] & image["valid"]
-            sink.add(joint_group, grid, tile, sheet.assign(image=image["image"], valid=valid))
+            joint = sheet.assign(image=image["image"], valid=valid)
+            sink.add(joint_group, grid, tile, joint)
     if absent:
         raise CannotRegister(
             f"The layer {absent[0]} does not meet the reference: by its marks it lies beside it."
@@ -290,8 +303,9 @@ def split_linked(linked: xr.Dataset, sheet: str, image: str) -> Datasets:
 def measured_holes(marks: xr.Dataset, side: str) -> xr.Dataset:
     """The marks that have a diameter in a layer; a tile of texture has none, and is no hole."""
     name = f"{side}_diameter"
-    has_diameters = marks if name in marks else marks.assign({name: np.nan * marks[f"{side}_x"]})
-    return has_diameters.dropna("mark", subset=[name])
+    if name not in marks:
+        marks = marks.assign({name: np.nan * marks[f"{side}_x"]})
+    return marks.dropna("mark", subset=[name])
 
 
 def hole_circles(
@@ -382,10 +396,10 @@ def resample_maps(
             "onto and registration belong together: give both, or neither for the flat maps."
         )
     check_image(onto, "pl.resample_maps(measured, flat, onto={}, registration=registration)")
-    plane_titles = [
+    moving_title, fixed_title = (
         about_layer(registration.marks, plane).get("title") for plane in ("moving", "fixed")
-    ]
-    if plane_titles == ["image", "sheet"]:
+    )
+    if moving_title == "image" and fixed_title == "sheet":
         raise MarkError(
             "The registration goes from the image to the sheet; needed is one from the sheet to the"
             " image. Write pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
@@ -396,7 +410,8 @@ def resample_maps(
     fixed_um = registration.fit.fixed
     pixel_um = max(grid.pixel_um)
     low_um = np.array(grid.origin_um) - pixel_um
-    high_um = np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um
+    last_um = np.array([grid.x_um[-1], grid.y_um[-1]])
+    high_um = last_um + pixel_um
     is_outside = ((fixed_um < low_um) | (fixed_um > high_um)).any(axis=1)
     if is_outside.any():
         raise MarkError(

@@ -79,7 +79,8 @@ class PositionErrors:
         self._lattice = Lattice(grid)
         places = self._lattice.places
         uv = chain.inverse(places)
-        self._shares = {"marks": np.asarray(chain.expected_error_um(uv), dtype=np.float64)}
+        marks_um = np.asarray(chain.expected_error_um(uv), dtype=np.float64)
+        self._shares = {"marks": marks_um}  # um, (rows, cols) of the lattice
         if sheet is not None:
             self._shares |= _moved(sheet, chain, uv)
         # Poses of layers in between move marks only: a place goes over the link before and the link
@@ -91,9 +92,9 @@ class PositionErrors:
         if reference is not None and "sections" in reference:
             sections_um2 += _sections_um2(reference, marks=len(chain.fits[-1].moving))
         if sections_um2 != 0:
-            self._shares["sections"] = np.full(places.shape[:2], np.sqrt(sections_um2))
+            self._shares["sections"] = np.full(marks_um.shape, np.sqrt(sections_um2))
         if is_scan:
-            self._shares["lines"] = np.full(places.shape[:2], _LINES_UM)
+            self._shares["lines"] = np.full(marks_um.shape, _LINES_UM)
         self._whole = self._shares.keys() == {"marks"} and sheet is None
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
@@ -106,11 +107,12 @@ class PositionErrors:
         ``error_lines`` where they exist.
         """
         is_shown = np.isfinite(layer_values)
-        shares = {
-            k: np.where(is_shown, self._lattice.between(v, part), np.nan)
-            for k, v in self._shares.items()
-        }
-        total_um = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
+        shares: dict[str, Floats] = {}
+        for k, of_lattice in self._shares.items():
+            on_part = self._lattice.between(of_lattice, part)
+            shares[k] = np.where(is_shown, on_part, np.nan)
+        squares = [share**2 for share in shares.values()]
+        total_um = np.sqrt(np.sum(squares, axis=0))
         titled = {"expected_error": (total_um, "Expected error of the place, rms")}
         for k, share in shares.items():
             if not self._whole:
@@ -118,7 +120,8 @@ class PositionErrors:
         maps: dict[str, xr.DataArray] = {}
         for name, (um, title) in titled.items():
             attrs = {"long_name": title, "units": "um"}
-            maps[name] = xr.DataArray(um.astype(np.float32), part.coords, ("y", "x"), attrs=attrs)
+            values = um.astype(np.float32)
+            maps[name] = xr.DataArray(values, part.coords, ("y", "x"), attrs=attrs)
         return maps
 
 
@@ -139,20 +142,22 @@ def add_place_errors(maps: xr.Dataset, pixel_um: Pair) -> xr.Dataset:
         slope_y = _slope(values) / pixel_um[0]
         slope_x = _slope(values.T).T / pixel_um[1]
         square = 0.5 * maps["expected_error"].values ** 2 * (slope_y**2 + slope_x**2)
-        se = maps[f"{name}_se"]
         added = np.where(np.isnan(square), 0.0, square)
-        errors[f"{name}_se"] = se.copy(data=np.sqrt(se.values**2 + added))
+        se = maps[f"{name}_se"]
+        total = np.sqrt(se.values**2 + added)
+        errors[f"{name}_se"] = se.copy(data=total)
     return maps.assign(errors)
 
 
 def _slope(values: Array) -> Array:
     """Change from row to row: the mean of those before and after, or the one that is known."""
-    unknown = np.full((1, values.shape[1]), np.nan, values.dtype)
+    unknown = np.full_like(values[:1], np.nan)
     steps = np.diff(values, axis=0, prepend=unknown, append=unknown)
     before = steps[:-1]
     after = steps[1:]
     one_side = np.where(np.isnan(before), after, before)
-    return np.where(np.isnan(before + after), one_side, 0.5 * (before + after))
+    both_sides = before + after
+    return np.where(np.isnan(both_sides), one_side, 0.5 * both_sides)
 
 
 def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares | None:
@@ -160,12 +165,17 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
 
     It comes with which share is the largest, and what would lower it.
 
-    ``has_shared`` says that the error of the marks holds what all of them share.
+    ``has_shared`` says that the error of the marks holds what all of them share. None where the
+    maps have no shares, as of an image that was moved.
     """
-    rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
+    rms: dict[str, float] = {}
+    for name in _SHARES:
+        if f"error_{name}" in maps:
+            rms[name] = rms_of(maps[f"error_{name}"]) or 0.0
     if not rms:
         return None
-    total_um = float(np.sqrt(sum(v**2 for v in rms.values())))
+    total_um2 = sum(um**2 for um in rms.values())
+    total_um = float(np.sqrt(total_um2))
     largest_share = max(rms, key=lambda name: rms[name])
     shares_text = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
     sentence = f"Expected error {total_um:.2g} um rms over the map: {shares_text} um. "
@@ -189,9 +199,10 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
 def _sections_um2(groups: Groups, *, marks: int) -> float:
     """Mean square of what is left of the sections' shifts in the plane of the sheet, in um**2.
 
-    The wander is a random walk with a step q a section. Marks hold it at the square root of their
-    number of places along the cut; n sections between two such places leave q sqrt(n / 6), the mean
-    over a Brownian bridge.
+    ``groups`` are those of the sheet, ``marks`` is how many marks hold it. The wander is a random
+    walk with a step q a section. Marks hold it at the square root of their number of places along
+    the cut; n sections between two such places leave q sqrt(n / 6), the mean over a Brownian
+    bridge.
     """
     sections = groups["sections"]
     through = Frame.of(groups["surfaces"]).through
@@ -199,14 +210,17 @@ def _sections_um2(groups: Groups, *, marks: int) -> float:
     jitter_factor = 1.0 if "jitter_estimator" in sections.attrs else _OLDER_JITTER
     square_um2 = 0.0
     jitter_left_um = sections.attrs["jitter_left_um"]
-    for axis, name, jitter_um in zip("yx", ("row", "col"), jitter_left_um, strict=True):
+    # A shift of a section's rows is along y of the volume, one of its columns along x.
+    axes = (("y", "row"), ("x", "col"))
+    for (axis, name), jitter_um in zip(axes, jitter_left_um, strict=True):
         if axis == through:
             continue
         left_um2 = (jitter_factor * float(jitter_um)) ** 2
         square_um2 += left_um2
         if name not in sections.attrs.get("fixed", ()):
             # What was taken off holds the shift that was there and the error that is left.
-            quick_um2 = max(float(np.var(sections[f"shift_{name}"].values)) - left_um2, 0.0)
+            taken_um2 = float(np.var(sections[f"shift_{name}"].values))
+            quick_um2 = max(taken_um2 - left_um2, 0.0)
             square_um2 += _WANDER**2 * quick_um2 * n_between_marks / 6
     return square_um2
 
@@ -214,7 +228,9 @@ def _sections_um2(groups: Groups, *, marks: int) -> float:
 def _moved(sheet: Groups, chain: Chain, uv: Floats) -> dict[str, Floats]:
     """Give what other surfaces move at places (rows, cols, 2) of the sheet, in um of the reference.
 
-    They are registered to the same marks.
+    They are registered to the same marks. ``neutral`` is what another unstrained surface moves,
+    ``smoothing`` what a shorter cut-off of the centre surface does, both as rms errors. The height
+    of the surface that was flattened over the centre is 0 for the mean of the faces.
     """
     surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
@@ -232,24 +248,24 @@ def _moved(sheet: Groups, chain: Chain, uv: Floats) -> dict[str, Floats]:
         other_neutral = neutral + 0.01 * float(surfaces.attrs["thickness_um"])
         error_factor = 1.0
     shorter = neutral + surfaces["centre_shorter"].values
-    moves = flat_moves(
-        surfaces,
-        {"neutral": other_neutral, "smoothing": shorter},
-        neutral=neutral,
-        rest=attrs["rest"],
-    )
+    others = {"neutral": other_neutral, "smoothing": shorter}
+    moves = flat_moves(surfaces, others, neutral=neutral, rest=attrs["rest"])
     # From the nodes of their mesh to places of the flat map, carried on beyond the sheet.
-    nodes = sheet["flat"][["u", "v"]].sel(y=moves["y"], x=moves["x"])
+    nodes = sheet["flat"].sel(y=moves["y"], x=moves["x"])
     nodes_uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
     grid = covering_grid(nodes_uv, min(pitch(moves)))
     map_places = find_places(nodes_uv, grid)
     fields = {str(name): filled(resample(moves[name].values, map_places)) for name in moves}
-    (x, y), (dy_um, dx_um), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
+    x, y = grid.origin_um
+    dy_um, dx_um = grid.pixel_um
+    rows, cols = grid.shape
 
     def moves_of(name: str, uv: Floats) -> Floats:
-        row = np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1)
-        col = np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1)
-        return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
+        u, v = np.moveaxis(uv, -1, 0)
+        row = np.clip((v - y) / dy_um, 0, rows - 1)
+        col = np.clip((u - x) / dx_um, 0, cols - 1)
+        moves_uv = [bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"]
+        return np.stack(moves_uv, axis=-1)
 
     fit = chain.fits[0]
     linked_places = chain(uv)
@@ -259,5 +275,6 @@ def _moved(sheet: Groups, chain: Chain, uv: Floats) -> dict[str, Floats]:
         shifted_places = refitted(uv + moves_of(name, uv))
         for link in chain.fits[1:]:
             shifted_places = link(shifted_places)
-        errors_um[name] = scale * filled(np.linalg.norm(shifted_places - linked_places, axis=-1))
+        moved_um = np.linalg.norm(shifted_places - linked_places, axis=-1)
+        errors_um[name] = scale * filled(moved_um)
     return errors_um

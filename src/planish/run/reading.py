@@ -63,6 +63,7 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> In
 
 
 def _read_run(params: GivenLayer, study: Study) -> MappedLayer:
+    """The sheet of a run; a machine direction that is given now goes before that of the run."""
     sheet = open_sheet(params.path)
     md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
     if study.is_sheet_on_image and sheet.params.volume is not None:

@@ -46,17 +46,13 @@ def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
             inside[window] |= mask
             pixels_of_each[k] += np.count_nonzero(mask)
         n_inside += int(np.count_nonzero(inside))
-    n_pixels = grid.shape[0] * grid.shape[1]
-    return RegionsFacts(
-        count=len(regions.declared),
-        share=n_inside / n_pixels,
-        regions=tuple(
-            RegionFacts(
-                name=region.name,
-                reason=region.reason,
-                author=region.author,
-                share=int(n) / n_pixels,
-            )
-            for region, n in zip(regions.declared, pixels_of_each, strict=True)
-        ),
-    )
+    rows, cols = grid.shape
+    n_pixels = rows * cols
+    facts: list[RegionFacts] = []
+    for region, n in zip(regions.declared, pixels_of_each.tolist(), strict=True):
+        share = n / n_pixels
+        of_region = RegionFacts(
+            name=region.name, reason=region.reason, author=region.author, share=share
+        )
+        facts.append(of_region)
+    return RegionsFacts(count=len(facts), share=n_inside / n_pixels, regions=tuple(facts))

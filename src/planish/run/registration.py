@@ -14,7 +14,7 @@ from planish.core.arrays import check_dataset
 from planish.core.errors import MarkError
 from planish.core.facts import HoleTiltFacts
 from planish.core.options import params_of
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Array, Entries, Floats, Pair
 from planish.design import read_pattern
 from planish.marks import hole_tilt
 from planish.marks.exchange import read_any, write_any
@@ -65,7 +65,12 @@ class Registration:
 
     def agreement(self) -> str:
         """How many marks agree to what, and which were left out, in a sentence."""
-        return self.fit.agreement(self.marks["label"].values[paired(self.marks)].tolist())
+        return self.fit.agreement(self._labels.tolist())
+
+    @property
+    def _labels(self) -> Array:
+        """Labels of the marks that the fit uses."""
+        return self.marks["label"].values[paired(self.marks)]
 
     def pairs(self) -> xr.Dataset:
         """The marks that the fit uses: positions, residuals and weights, a row each."""
@@ -76,12 +81,10 @@ class Registration:
             columns[f"{name}_x"], columns[f"{name}_y"] = xy.T
         columns["residual"] = np.hypot(*fit.residuals_um.T)
         columns["leave_one_out"] = fit.leave_one_out_um
-        data = xr.Dataset({k: ("mark", v, um) for k, v in columns.items()})
-        labels = self.marks["label"].values[paired(self.marks)]
-        return data.assign(
-            weight=("mark", fit.robust_weights, {"units": "1"}),
-            label=("mark", labels.astype(object)),
-        )
+        variables: Entries = {name: ("mark", values, um) for name, values in columns.items()}
+        variables["weight"] = ("mark", fit.robust_weights, {"units": "1"})
+        variables["label"] = ("mark", self._labels.astype(object))
+        return xr.Dataset(variables)
 
     def save(self, path: str | Path) -> None:
         """Write ``marks.json``: all marks, and the transformation fitted to them."""
@@ -111,18 +114,16 @@ class Registration:
                 f"{Path(path).name} holds marks without a registration. Make one with 'planish"
                 " register', or give the marks.json of a run."
             )
-        registration = cls(
-            fit=registration_from_json(saved), marks=marks, source="json", **saved.get("search", {})
-        )
+        fit = registration_from_json(saved)
         mask = paired(marks)
-        fit = registration.fit
         for side, fitted in (("moving", fit.moving), ("fixed", fit.fixed)):
             if not np.array_equal(points_of(marks, side)[mask], fitted):
                 raise MarkError(
                     f"The marks in {Path(path).name} were changed after the registration was fitted"
                     " to them. Register them again: planish register, or planish link --marks."
                 )
-        return registration
+        search = saved.get("search", {})
+        return cls(fit=fit, marks=marks, source="json", **search)
 
 
 def register_marks(
@@ -163,10 +164,8 @@ def register_marks(
     -----
     Hirn et al. (2009), section 2.4. Each pair is weighted with the covariances of its two holes.
     """
-    for holes, call in (
-        (moving, "pl.register_marks({}, fixed)"),
-        (fixed, "pl.register_marks(moving, {})"),
-    ):
+    calls = ("pl.register_marks({}, fixed)", "pl.register_marks(moving, {})")
+    for holes, call in zip((moving, fixed), calls, strict=True):
         check_dataset(
             holes, "x", "y", expected="holes", source="pl.find_holes(...)", call_format=call
         )
@@ -181,9 +180,8 @@ def register_holes(
     designed = None
     if params.design is not None:
         pattern = read_pattern(params.design)
-        designed = DesignedHoles(
-            name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels)
-        )
+        labels = tuple(pattern.labels)
+        designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=labels)
     fit, match = match_and_fit(moving, fixed, params=params, pattern=designed, hole_um=hole_um)
     marks = with_residuals(join_holes(moving, fixed, match.pairs, match.labels), fit)
     return Registration(
@@ -199,7 +197,8 @@ def register_holes(
 def with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
     """The marks with what the fit leaves of each."""
     is_paired = paired(marks)
-    left_um = {"residual": np.hypot(*fit.residuals_um.T), "leave_one_out": fit.leave_one_out_um}
+    lengths_um = np.hypot(*fit.residuals_um.T)
+    left_um = {"residual": lengths_um, "leave_one_out": fit.leave_one_out_um}
     for name, pairs_um in left_um.items():
         um = np.full(is_paired.size, np.nan)
         um[is_paired] = pairs_um

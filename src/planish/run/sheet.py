@@ -41,7 +41,9 @@ def map_layer(
 ) -> MappedLayer:
     """Go from a volume to flattened maps of its properties.
 
-    ``tile_dir`` is for the results of single tiles, where a run that was killed finds them again.
+    The parameters that come back with it hold the sizes and pitches that were used, in um, so that
+    the run can be repeated. ``tile_dir`` is for the results of single tiles, where a run that was
+    killed finds them again.
     ``old_sheet`` is of the same volume with the same surface but for corrections: only what other
     parameters change is done anew, and only the tiles that a correction touches are searched again.
     """
@@ -87,18 +89,20 @@ def map_layer(
         return _remapped(old_sheet, sheet)
     step = column_step(volume, v.frame, v.column_um, compute)
     groups["slices"] = some_slices(volume, v.frame, step)
-    params = changed(params, volume={"voxel_um": tuple(map(float, volume.attrs["voxel_um"]))})
+    voxel_um = tuple(map(float, volume.attrs["voxel_um"]))
+    params = changed(params, volume={"voxel_um": voxel_um})
     # Where single columns of voxels were measured without being asked for, nothing has to be
     # repeated.
     if step > 1 and v.column_um is None:
         params = changed(params, volume={"column_um": column_um})
+    checks = run_checks(MeasuredSheet(facts, columns))
     return MappedLayer(
         params=params,
         source=input_file(volume, v.path),
         groups=groups,
         facts=facts,
         md_deg=md_deg,
-        checks=(*run_checks(MeasuredSheet(facts, columns)), *scan_checks),
+        checks=(*checks, *scan_checks),
     )
 
 
@@ -112,7 +116,9 @@ def _measure(
 ) -> tuple[xr.DataArray | None, xr.Dataset | None, xr.Dataset, xr.Dataset]:
     """Give volume (None where not read), sections, surfaces and measured columns.
 
-    A similar sheet may have them.
+    A similar sheet of an ``old`` run may have them: its surfaces, corrected anew where other
+    corrections are asked for, and its columns where nothing of that changed. ``local`` works
+    on them, the search for new surfaces in tiles of its own.
     """
     v = layer.volume
     assert v is not None
@@ -135,7 +141,8 @@ def _measure(
             progress("surface", "corrections")
             edits = Corrections.model_validate_json(corrections) if corrections else Corrections()
             surfaces = correct_surfaces(surfaces, volume, edits, params=layer.surface, engine=local)
-    progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
+    n_columns = surfaces.sizes["y"] * surfaces.sizes["x"]
+    progress("measure", f"{n_columns} columns")
     try:
         columns = measure_properties(surfaces, volume=volume, params=layer.properties, engine=local)
     except CannotMeasure as error:
@@ -184,20 +191,15 @@ def _remapped(old_sheet: MappedLayer, sheet: MappedLayer) -> MappedLayer:
     assert sheet.facts is not None
     # A store has no order.
     properties = {name: sheet.facts.properties[name] for name in old_sheet.facts.properties}
-    facts = sheet.facts.model_copy(
-        update={"properties": properties, "numbers": old_sheet.facts.numbers}
-    )
-    unchanged = {*old_sheet.unchanged} & {"surfaces", "slices", "sections"}
-    checks = [*run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))]
+    updates = {"properties": properties, "numbers": old_sheet.facts.numbers}
+    facts = sheet.facts.model_copy(update=updates)
+    kept_groups = {*old_sheet.unchanged} & {"surfaces", "slices", "sections"}
+    unchanged = {name: old_sheet.unchanged[name] for name in kept_groups}
+    checks = run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))
     check_names = {check.name for check in checks}
     checks += [check for check in old_sheet.checks if check.name not in check_names]
-    return replace(
-        sheet,
-        facts=facts,
-        groups=sheet.groups | {"slices": old_sheet.groups["slices"]},
-        unchanged={name: old_sheet.unchanged[name] for name in unchanged},
-        checks=tuple(checks),
-    )
+    groups = sheet.groups | {"slices": old_sheet.groups["slices"]}
+    return replace(sheet, facts=facts, groups=groups, unchanged=unchanged, checks=tuple(checks))
 
 
 def search_sheet(

@@ -240,7 +240,8 @@ def read_study(path: Path) -> Study:
 def checked_study(path: Path, text: str, tables: Entries) -> Study:
     """The study in the tables of a file with this text.
 
-    InputError names the lines of all faults.
+    InputError names the lines of all faults, which are looked up by their keys: in the short form
+    of one volume, and in files of planish 0.1.0, keys stand elsewhere than in the model.
     """
     try:
         return as_study(tables)
@@ -275,9 +276,12 @@ def as_study(data: Entries) -> Study:
         data["registration"] = registration = Entries(registration)
         data["holes"] = {"hole_um": registration.pop("hole_um")}
     if "layers" not in data:  # the short form of one volume
-        sheet = {k: data.pop(k) for k in ("volume", *MAP_SECTIONS) if k in data}
-        image = [{"name": "image", "image": data.pop("image")}] if "image" in data else []
-        return Study.model_validate({"layers": [{"name": "sheet", **sheet}, *image], **data})
+        sheet: Entries = {"name": "sheet"}
+        sheet |= {k: data.pop(k) for k in ("volume", *MAP_SECTIONS) if k in data}
+        layers = [sheet]
+        if "image" in data:
+            layers.append({"name": "image", "image": data.pop("image")})
+        return Study.model_validate({"layers": layers, **data})
     data.pop("rim_um", None)
     if isinstance(data["layers"], list):
         data["layers"] = list(map(_with_volume, data["layers"]))
@@ -350,7 +354,11 @@ _LAYER_SECTIONS = ("volume", "image", *MAP_SECTIONS)
 
 
 def _tables_of(study: Study, data: Entries, keys: list[str]) -> tuple[list[Entries], list[str]]:
-    """The tables of a study that a key is in, and the rest of the key."""
+    """The tables of a study that a key is in, and the rest of the key.
+
+    ``keys`` are the words of a key, with the name of a layer in front where it is for that alone;
+    ``data`` are the values of the study as `to_dict` gives them, in which the tables lie.
+    """
     names = [layer.name for layer in study.layers]
     name = None
     if len(keys) > 2 and keys[0] in names:
@@ -458,15 +466,16 @@ def with_paths(params: P, change: Callable[[str], str | None]) -> P:
 
 def changed(params: P, **values: Any) -> P:
     """The same parameters with some values changed; a dict changes those of a section."""
-    sections = {
-        name: changed(getattr(params, name), **part)
-        for name, part in values.items()
-        if isinstance(part, dict)
-    }
-    return params.model_copy(update=values | sections)
+    for name, part in values.items():
+        if isinstance(part, dict):
+            values[name] = changed(getattr(params, name), **part)
+    return params.model_copy(update=values)
 
 
 def with_layer(study: Study, name: str, **values: Any) -> Study:
     """The same study with some values of one layer changed, as by :func:`changed`."""
-    layers = (changed(layer, **values) if layer.name == name else layer for layer in study.layers)
+    layers = [*study.layers]
+    for k, layer in enumerate(layers):
+        if layer.name == name:
+            layers[k] = changed(layer, **values)
     return changed(study, layers=tuple(layers))

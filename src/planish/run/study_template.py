@@ -108,9 +108,14 @@ def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
     A key behind a table would belong to it.
     """
     flags = {name: shown for name, _, shown in options_of(model)}
-    fields = {name: field for name, field in model.model_fields.items() if name != "path"}
-    options = [(k, field, flags.get(k, Shown(flags=()))) for k, field in fields.items()]
-    return sorted(options, key=lambda option: bool(models_in(option[1].annotation)))
+    no_flag = Shown(flags=())
+    options: list[tuple[str, FieldInfo, Shown]] = []
+    tables: list[tuple[str, FieldInfo, Shown]] = []
+    for name, field in model.model_fields.items():
+        if name != "path":
+            kind = tables if models_in(field.annotation) else options
+            kind.append((name, field, flags.get(name, no_flag)))
+    return options + tables
 
 
 def _head(name: str, missing: list[Missing]) -> list[str]:
@@ -142,7 +147,10 @@ def _input(
     path: Path,
     home: Path,
 ) -> None:
-    """Add the options of an input with what its file says, and note what no file states."""
+    """Add the options of an input with what its file says, and note what no file states.
+
+    ``lines`` of the study and what is ``missing`` in them grow; paths are relative to ``home``.
+    """
     if is_run(path):
         raise StudyError(
             f"{path} is a run, which was mapped already. Link it: planish link {path} IMAGE --out"
@@ -176,7 +184,10 @@ _SIZES = ("voxel_um", "pixel_um")
 
 
 def _stated(key: str, facts: Entries) -> tuple[str | None, str | None]:
-    """Line of an option that a file states, or why it has to be filled in; None for others."""
+    """Line of an option that a file states, or why it has to be filled in; None for others.
+
+    ``facts`` are those of `describe`.
+    """
     if key in _SIZES:
         if not facts["size_um"]:
             return None, in_study_words(str(facts["size_problem"])).partition(". ")[0]

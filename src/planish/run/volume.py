@@ -18,6 +18,9 @@ from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.run.compute import Compute, Progress
 
+Options = tuple[tuple[str, Any], ...]
+"""Options of a reader and their names, as a cache can hold them."""
+
 
 def read_sheet_volume(
     params: VolumeParams, compute: Compute, progress: Progress
@@ -47,15 +50,18 @@ def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     if compute.scheduler is None:
         return volume
     # It travels to other processes as the name of its file; each of them opens it once.
-    return computed(volume, partial(_read_by_name, params.path, tuple(read_options.items())))
+    read_window = partial(_read_by_name, params.path, tuple(read_options.items()))
+    return computed(volume, read_window)
 
 
-def _read_by_name(path: str, read_options: tuple[tuple[str, Any], ...], window: Where) -> Array:
+def _read_by_name(path: str, read_options: Options, window: Where) -> Array:
+    """Values of a window of a volume, in another process."""
     return _opened(path, read_options).variable[window].values
 
 
 @lru_cache(maxsize=1)
-def _opened(path: str, read_options: tuple[tuple[str, Any], ...]) -> xr.DataArray:
+def _opened(path: str, read_options: Options) -> xr.DataArray:
+    """The volume that was asked for last."""
     return read_volume(path, **dict(read_options))
 
 
@@ -88,6 +94,10 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
 def _in_parts(
     volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = ""
 ) -> None:
+    """Refuse a volume that can be decoded in whole slices only, and does not fit into the memory.
+
+    So many ``copies`` of it are held at a time; ``options`` are those of an import of it.
+    """
     if volume.encoding.get("whole_slices"):
         needed = enough_gb(bytes_to_hold(copies * volume.nbytes) + PROGRAM_BYTES)
         raise ResourceError(
@@ -103,7 +113,8 @@ def _join_sections(
 ) -> tuple[xr.DataArray, xr.Dataset]:
     """Align serial sections and join them to a volume.
 
-    Return it with what was done to each of them.
+    Return it with what was done to each of them: a dataset over the dim ``section``, with what
+    holds for all of them in its attributes.
     """
     path = Path(params.path)
     if compute.scheduler is not None:
@@ -130,26 +141,27 @@ def _join_sections(
 
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed_features = None
-    if params.fixed_rows is not None or params.fixed_cols is not None:
-        fixed_features = fixed_places(
-            stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols
-        )
+    rows, cols = params.fixed_rows, params.fixed_cols
+    if rows is not None or cols is not None:
+        fixed_features = fixed_places(stack.values, stack.pixel_um, rows=rows, cols=cols)
     poses = align_sections(series, fixed=fixed_features)
     gains = normalise_sections(series)
     volume = regular_volume(series, alignment=poses, gains=gains, attrs=stack.attrs)
     first_um = float(volume.attrs["first_position_um"])
+    shift_row_um, shift_col_um = poses.shift_um.T
     section_columns = {
         "position": (stack.positions_um - first_um, "Place along the volume", "um"),
-        "shift_row": (poses.shift_um[:, 0], "Shift taken off, rows", "um"),
-        "shift_col": (poses.shift_um[:, 1], "Shift taken off, columns", "um"),
+        "shift_row": (shift_row_um, "Shift taken off, rows", "um"),
+        "shift_col": (shift_col_um, "Shift taken off, columns", "um"),
         "rotation": (poses.rotation_rad, "Rotation taken off", "rad"),
         "aligned": (poses.aligned, "Aligned; others count as missing", None),
         "gain": (gains.gain, "Gain put on the grey", "1"),
     }
     variables: Entries = {}
     for name, (values, title, units) in section_columns.items():
-        units_attr = {} if units is None else {"units": units}
-        variables[name] = ("section", values, units_attr | {"long_name": title})
+        column_attrs = {} if units is None else {"units": units}
+        column_attrs["long_name"] = title
+        variables[name] = ("section", values, column_attrs)
     fixed = zip(("row", "col", "rotation"), poses.fixed, strict=True)
     attrs = {
         "kind": stack.kind,
@@ -166,16 +178,18 @@ def _join_sections(
 
 
 def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
-    """A few slices through the sheet, to draw its surfaces on.
+    """Three slices through the sheet, to draw its surfaces on: ``grey`` (slice, height, x).
 
-    ``row`` is the row of columns that each lies in.
+    ``step`` is the width of a column in voxels; ``row`` is the row of columns that each lies in.
     """
-    rows = volume.sizes[frame.rows] // step * step
-    row_indices = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
+    n_rows = volume.sizes[frame.rows] // step * step  # of whole columns
+    spread = np.linspace(0, n_rows - 1, 5).astype(int)
+    row_indices = np.unique(spread[1:-1])
     slices_2d: list[Array] = []
     for k in row_indices:
-        row = frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load())
-        slices_2d.append(np.ascontiguousarray(row.values[0].T))
+        one_row = volume.isel({frame.rows: slice(k, k + 1)}).load()
+        columns = frame.columns(one_row).values[0]  # (x, height)
+        slices_2d.append(np.ascontiguousarray(columns.T))
     axes = {"slice": frame.rows, "height": frame.through, "x": frame.cols}
     places_um = {name: volume.coords[axis].values for name, axis in axes.items()}
     places_um["slice"] = places_um["slice"][row_indices]

@@ -72,7 +72,8 @@ class Workspace:
             return replace(run, unchanged={})
         self.progress("write", str(self.out))
         # About the bytes of its pages, and of its maps, which hold noise, with overviews.
-        needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+        maps_bytes = sum(data.nbytes for data in run.groups.values())
+        needed_bytes = 5_000_000 + maps_bytes * 4 // 3
         with new_folder(self.out, inside=self.folder, needed=needed_bytes) as folder:
             save_run(run, folder, home=self.out, store=self.store, figures=figures)
         stored_groups = {name: stored_group(self.out / MAPS, name) for name in self.store.stored}

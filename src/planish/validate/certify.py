@@ -6,7 +6,7 @@ Specimens go into files, files through the whole program, and errors are taken a
 import os
 import tempfile
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -179,7 +179,8 @@ def run_scenario(
     for k, seed in enumerate(seed_list):
         progress(scenario.name, f"seed {seed}, {k + 1} of {len(seed_list)}")
         if scenario.kind == "mesh":
-            entries.append(Entry(seed=seed, values=in_order(mesh_values(seed, once=k == 0))))
+            values = in_order(mesh_values(seed, once=k == 0))
+            entries.append(Entry(seed=seed, values=values))
         else:
             draw = not any(entry.pictures for entry in entries)
             params = scenario.params(seed)
@@ -198,7 +199,8 @@ def run_specimen(
 ) -> Entry:
     """Make one specimen, or a pair, run the program on its files, remove them.
 
-    With ``draw``, also its pictures.
+    With ``draw``, also its pictures. A specimen that the program refuses has no figures but the
+    message.
     """
     with tempfile.TemporaryDirectory(
         prefix="planish-validate-", ignore_cleanup_errors=True
@@ -219,18 +221,21 @@ def run_specimen(
             refusal = in_terminal_words(error.text).replace(f"{folder}{os.sep}", "")
             return Entry(seed=seed, values={}, refusal=refusal)
         progress("compare", "with the truth")
-        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
-        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
+        failed, looks = (
+            tuple(f"{check.name}: {check.sentence}" for check in run.results.checks_in(state))
+            for state in ("fail", "look")
+        )
+        pictures: tuple[Picture, ...] = ()
         if scenario.second is not None:
             values = in_order(pair_errors(specimens, run))
-            return Entry(seed=seed, values=values, failed=failed, looks=looks)
-        comparison = Comparison(*specimens[0], run)
-        entry = Entry(seed=seed, values=make_ledger(comparison), failed=failed, looks=looks)
-        if draw and "linked" in run.groups:
-            from planish.validate.example import draw_example  # which loads all that draws
+        else:
+            comparison = Comparison(*specimens[0], run)
+            values = make_ledger(comparison)
+            if draw and "linked" in run.groups:
+                from planish.validate.example import draw_example  # which loads all that draws
 
-            return replace(entry, pictures=tuple(draw_example(comparison, seed)))
-        return entry
+                pictures = tuple(draw_example(comparison, seed))
+        return Entry(seed=seed, values=values, failed=failed, looks=looks, pictures=pictures)
 
 
 def _write_specimens(
@@ -253,7 +258,9 @@ def _write_specimens(
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
     """Seeds as numbers: 0 to the scenario's number where none are given."""
     wanted = scenario.seeds if seeds is None else seeds
-    return list(range(wanted)) if isinstance(wanted, int) else list(wanted)
+    if isinstance(wanted, int):
+        wanted = range(wanted)
+    return list(wanted)
 
 
 # Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002
@@ -305,7 +312,8 @@ def sensitivity(
 
     Figures are rms over the seeds.
 
-    Where the single errors do not sum up to the whole, each nuisance is also left out in turn.
+    Where the single errors do not sum up to the whole, each nuisance is also left out in turn. One
+    figure speaks for each stage, the first of its candidates that the run without nuisances has.
     InputError if the scenario is no line of stages, has no nuisance, or is refused by the program
     without any of them.
     """
@@ -372,7 +380,8 @@ def _nuisances_of(scenario: Scenario) -> list[str]:
 
 def _deviating_stages(ratio: Values) -> list[str]:
     """Stages whose single errors do not add up to the whole."""
-    return [stage for stage, r in without_none(ratio).items() if not 1 / _AGREES <= r <= _AGREES]
+    known = without_none(ratio)
+    return [stage for stage, r in known.items() if not 1 / _AGREES <= r <= _AGREES]
 
 
 def _key_figures(measured: Container[str]) -> dict[str, str]:
@@ -400,7 +409,8 @@ def _rms_figures(
         params = scenario.params(seed, nuisances)
         entries.append(run_specimen(scenario, params, seed, compute=compute))
     figures: Values = {}
-    for name in dict.fromkeys(chain.from_iterable(entry.values for entry in entries)):
+    names = dict.fromkeys(chain.from_iterable(entry.values for entry in entries))
+    for name in names:
         seed_values = [entry.values.get(name) for entry in entries]
         figures[name] = rms(np.array(seed_values, dtype=np.float64))
     refusals = [entry.refusal for entry in entries if entry.refusal is not None]
@@ -412,7 +422,8 @@ def _together(
 ) -> dict[str, Texts]:
     """Name the two nuisances without which the error of a stage's key figure changes most.
 
-    A missing one changes nothing.
+    ``keys`` and ``loud`` are those of `Sensitivity`; ``figures_without`` are the figures of runs
+    without one nuisance, by its name. A missing figure changes nothing.
     """
     together: dict[str, Texts] = {}
     for stage in stages:
@@ -421,7 +432,8 @@ def _together(
         for name, figures in figures_without.items():
             error = figures.get(keys[stage])
             changes[name] = 0.0 if error is None else abs(all_error**2 - error**2)
-        together[stage] = tuple(sorted(changes, key=lambda name: -changes[name])[:2])
+        by_change = sorted(changes, key=lambda name: -changes[name])
+        together[stage] = tuple(by_change[:2])
     return together
 
 
@@ -430,8 +442,9 @@ def make_row(
 ) -> NuisanceRow:
     """Give the error that a nuisance adds to every stage, and the stage where it comes in.
 
-    Errors are carried along the line: the stage that suffers is the first one that grows at least
-    half as much, relative to its own baseline, as the one that grows most.
+    ``figures`` are those of the run with the nuisance alone; ``keys`` and ``quiet`` as in
+    `Sensitivity`. Errors are carried along the line: the stage that suffers is the first one that
+    grows at least half as much, relative to its own baseline, as the one that grows most.
     """
     added: Values = {}
     growth: dict[str, float] = {}
@@ -454,7 +467,10 @@ def added_error(error: float | None, base: float) -> float | None:
 
     0 where that is not larger.
     """
-    return None if error is None else float(np.sqrt(max(0.0, error**2 - base**2)))
+    if error is None:
+        return None
+    added_square = max(0.0, error**2 - base**2)
+    return float(np.sqrt(added_square))
 
 
 def _ratio(
@@ -469,9 +485,11 @@ def _ratio(
     None where both stay below the floor or half of the baseline.
     """
     total = added_error(loud[stage], quiet[stage])
-    sum_of_singles = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
+    squares = [(row.added[stage] or 0.0) ** 2 for row in rows]
+    sum_of_singles = float(np.sqrt(sum(squares)))
+    unit = FIGURES[keys[stage]].unit
     # Where all together add less, their sum is not worth naming.
-    floor = max(_FLOOR[FIGURES[keys[stage]].unit], 0.5 * quiet[stage])
+    floor = max(_FLOOR[unit], 0.5 * quiet[stage])
     if total is None or max(total, sum_of_singles) < floor:
         return None
     return sum_of_singles / total if total > 0 else float("inf")

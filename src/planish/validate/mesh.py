@@ -1,6 +1,6 @@
-"""The spring mesh of Hirn et al.
+"""The spring mesh alone, as Hirn et al. (2009) try it.
 
-(2009), Fig. 5, alone: how near its state of rest comes to the flat sheet.
+It is that of their fifth figure: how near its state of rest comes to the flat sheet.
 """
 
 import time
@@ -24,7 +24,9 @@ _FEW_STEPS = 5000  # three times what the right reading needs to come to rest
 def mesh_values(seed: int, *, once: bool) -> Values:
     """Figures of one random deformation, sizes in %, places in pitches.
 
-    ``once``: also those that no seed changes.
+    ``once``: also those that no seed changes. Sizes are None where a mesh did not come to rest;
+    ``_fine`` stops at a lower speed, ``mesh_first`` at the first standstill; feedback and Euler's
+    steps are other readings of the paper, of which it counts whether they fail.
     """
     start, rest = deformed(seed)
     flat = grid(ROWS, COLS)
@@ -44,7 +46,8 @@ def mesh_values(seed: int, *, once: bool) -> Values:
             percents = 100.0 * size_errors(mesh.uv, flat)
             values |= zip(names, percents.tolist(), strict=True)
     first_stop = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
-    values["mesh_first"] = 100.0 * float(np.abs(size_errors(first_stop.uv, flat)).max())
+    first_errors = np.abs(size_errors(first_stop.uv, flat))
+    values["mesh_first"] = 100.0 * float(first_errors.max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
     euler = RelaxationParams(integrator="euler", most_steps=_FEW_STEPS)
     for name, params in (("feedback", feedback), ("euler", euler)):
@@ -58,7 +61,8 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     relaxed = relax_dynamically(projected, rest_lengths(arc_points))
     values["mesh_cylinder_seconds"] = time.perf_counter() - begin
     values["mesh_cylinder"] = node_error(relaxed.uv, unrolled(projected))
-    squared_radius = np.sum((flat - flat.mean(axis=(0, 1))) ** 2, axis=-1)
+    from_middle = flat - flat.mean(axis=(0, 1))
+    squared_radius = np.sum(from_middle**2, axis=-1)
     height = 2.0 * np.exp(-squared_radius / 72.0)
     dome = np.concatenate([flat, height[..., None]], axis=-1)
     methods = ("multigrid", RelaxationParams(mean_speed=1e-4))
@@ -83,15 +87,17 @@ def rest_lengths(points: Floats) -> Floats:
 
 
 def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Floats, Floats]:
-    """Start (rows, cols, 2) and rest lengths after Fig.
+    """Start (rows, cols, 2) and rest lengths of a deformation like that of the paper's figure.
 
-    5: a flat mesh, scaled, sheared, rows and nodes displaced.
+    A flat mesh, scaled, sheared, rows and nodes displaced.
     """
     rng = np.random.default_rng(seed)
     flat = grid(rows, cols)
     start = flat @ np.array([[0.85, 0.0], [0.15, 1.10]])
-    start[..., 0] += rng.normal(0, 0.3, rows)[:, None]
-    return start + rng.normal(0, 0.15, start.shape), rest_lengths(flat)
+    row_shifts = rng.normal(0, 0.3, rows)
+    start[..., 0] += row_shifts[:, None]
+    start += rng.normal(0, 0.15, start.shape)
+    return start, rest_lengths(flat)
 
 
 def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
@@ -102,7 +108,8 @@ def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
     flat = grid(rows, cols)
     flat[..., 0] -= (cols - 1) / 2
     height = np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)
-    return flat, np.concatenate([flat, height], axis=-1)
+    arc_points = np.concatenate([flat, height], axis=-1)
+    return flat, arc_points
 
 
 def unrolled(flat: Floats) -> Floats:
@@ -120,8 +127,11 @@ def size_errors(uv: Floats, flat: Floats) -> Floats:
 
 
 def _sizes(nodes: Floats) -> Floats:
-    width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()
-    height = np.linalg.norm(nodes[-1] - nodes[0], axis=-1).mean()
+    """Width, height and aspect of a mesh (rows, cols, 2)."""
+    from_left = nodes[:, -1] - nodes[:, 0]
+    from_top = nodes[-1] - nodes[0]
+    width = np.linalg.norm(from_left, axis=-1).mean()
+    height = np.linalg.norm(from_top, axis=-1).mean()
     return np.array([width, height, width / height])
 
 
@@ -131,4 +141,5 @@ def node_error(uv: Floats, flat: Floats) -> float:
     a = a - a.mean()
     b = b - b.mean()
     turn = np.vdot(a, b)
-    return float(np.abs(a * turn / abs(turn) - b).max())
+    errors = a * turn / abs(turn) - b
+    return float(np.abs(errors).max())

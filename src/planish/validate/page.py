@@ -22,37 +22,41 @@ _DOT_MARGIN = 6.0
 def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     """Draw the true error of registration over the one that each run expects.
 
-    None without a pair of them.
+    None without a pair of them: a specimen that was refused has neither.
     """
-    error_pairs = [
-        (entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries
-    ]
-    pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64)
-    if not pairs.size:
+    known_pairs: list[tuple[float, float]] = []
+    for entry in entries:
+        expected, true = (entry.values.get(name) for name in ("predicted_rms", "tre_rms"))
+        if expected is not None and true is not None:
+            known_pairs.append((expected, true))
+    if not known_pairs:
         return None
+    pairs = np.array(known_pairs)
     high = 1.15 * float(pairs.max())
     canvas = Canvas(HALF, 390)
     axes = canvas.axes(62, 10, 320, 320, (0, high, 0, high))
-    axes.area([(0, 0), (high, 0.8 * high), (high, 1.25 * high)], colour=FAINT, opacity=0.45)
+    band = [(0, 0), (high, 0.8 * high), (high, 1.25 * high)]
+    axes.area(band, colour=FAINT, opacity=0.45)
     axes.line((0, high), (0, high), width=1.2)
     axes.dots(*np.transpose(pairs), colour=INK, size=7)
     canvas.ticks(axes, "error that the run expects from its marks / µm", "true error / µm")
-    expected, true = np.mean(pairs**2, axis=0)
+    expected_square, true_square = np.mean(pairs**2, axis=0)
+    ratio = float(np.sqrt(true_square / expected_square))
     return canvas.picture(
         title="True against expected error of registration",
         caption=(
             f"rms over the pixels, one point a specimen (n = {len(pairs)}). On the line a run knows"
             " how good it is; the band is 0.8 to 1.25 times. Above it a run is too sure of itself:"
             " its marks cannot know what is off between them. Over all specimens the true error is"
-            f" {number(float(np.sqrt(true / expected)), 2)} times the expected one."
+            f" {number(ratio, 2)} times the expected one."
         ),
     )
 
 
 def dots(seed_values: Sequence[float], bound: float | None) -> str:
-    """Return a row of dots as SVG: one a seed, a long tick at 0 and a red one at the limit.
+    """Return a row of dots as SVG: one a seed, a tick at 0 and a longer red one at the limit.
 
-    Empty without a value.
+    Empty without a value. A limit of values that may be negative bounds both ends.
     """
     if not seed_values:
         return ""
@@ -75,17 +79,13 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
 
     middle = height / 2
     elements = [
-        (
-            f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}"'
-            f' stroke="{FAINT}"/>'
-        ),
-        tick(0.0, 3, f'stroke="{SOFT}"'),
-        *(tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in bounds),
-        *(
-            f'<circle cx="{x_of(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>'
-            for v in seed_values
-        ),
+        f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}"'
+        f' stroke="{FAINT}"/>'
     ]
+    elements.append(tick(0.0, 3, f'stroke="{SOFT}"'))
+    elements += [tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in bounds]
+    dot = f'cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"'
+    elements += [f'<circle cx="{x_of(v)}" {dot}/>' for v in seed_values]
     size = f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}"'
     return (
         f'<svg {size} role="img" aria-label="{len(seed_values)}'
@@ -109,10 +109,11 @@ def render_page(certificate: Certificate, table: Sensitivity | None = None) -> s
     if table is not None:
         for row in table.rows:
             # Three times the baseline is the darkest cell of the heat table.
-            shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
-            heat_rows.append(
-                [(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()]
-            )
+            heat_row: list[tuple[str, bool]] = []
+            for stage in row.added:
+                shade = min(1.0, row.growth.get(stage, 0.0) / 3.0)
+                heat_row.append((f"{shade:.3f}", row.suffers == stage))
+            heat_rows.append(heat_row)
     scenario, entries = certificate.scenario, certificate.entries
     page = template("planish.validate", "certificate.html.j2").render(
         certificate=certificate,

@@ -50,9 +50,8 @@ class Figure(NamedTuple):
 def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
     for stem, (quantity, sentence) in table.get("errors", {}).items():
         for statistic, title, mean in _KINDS:
-            yield Figure(
-                f"{stem}_{statistic}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}"
-            )
+            of_figure = (f"{quantity}, {title}", f"{mean} of {sentence}")
+            yield Figure(f"{stem}_{statistic}", stage, "um", *of_figure)
     for name, row in table.get("figures", {}).items():
         yield Figure(name, stage, *row)
 
@@ -201,9 +200,8 @@ class Scenario(Params):
         reference is the last. All files state their voxel size, so that none is given.
         """
         tables = _merged({"correlate": {"point_um": self.point_um}}, self.study)
-        sheet = {
-            name: tables.pop(name, {}) for name in ("volume", "surface", "properties", "flatten")
-        }
+        sections = ("volume", "surface", "properties", "flatten")
+        sheet = {name: tables.pop(name, {}) for name in sections}
         names = PAIR if self.second else ("sheet",)
         layers: list[dict[str, Any]] = []
         for name, (path, through) in zip(names, volumes, strict=True):
@@ -226,7 +224,9 @@ class Scenario(Params):
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
-        return params if chosen == ALL else with_only(params, () if chosen == NONE else chosen)
+        if chosen == ALL:
+            return params
+        return with_only(params, () if chosen == NONE else chosen)
 
     def second_params(self, seed: int) -> SpecimenParams:
         """Parameters of the same sheet under the second instrument."""
@@ -254,10 +254,12 @@ def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    nested = [
-        k for k, v in changes.items() if isinstance(v, dict) and isinstance(base.get(k), dict)
-    ]
-    return base | changes | {k: _merged(base[k], changes[k]) for k in nested}
+    """A nested table with other values in place of some; those of a table within it one by one."""
+    merged = base | changes
+    for name, value in changes.items():
+        if isinstance(value, dict) and isinstance(base.get(name), dict):
+            merged[name] = _merged(base[name], changes[name])
+    return merged
 
 
 def scenario_names() -> list[str]:

@@ -37,18 +37,16 @@ def like_run(folder: Path) -> SpecimenTemplate:
             f"{folder} does not hold the map of one volume. Give a run of planish map, or of one"
             " volume."
         )
-    tables = {
-        "surface": volumes[0].surface,
-        "flatten": volumes[0].flatten,
-        "holes": run.study.holes,
-    }
-    tables |= {"registration": run.study.registration, "correlate": run.study.correlate}
-    excluded_options = {"marks", "design", "sheet_grey", "seed_um", "labels"}
+    (volume,) = volumes
+    study = run.study
+    models = {"surface": volume.surface, "flatten": volume.flatten, "holes": study.holes}
+    models |= {"registration": study.registration, "correlate": study.correlate}
+    # What is of the specimen itself, or of its own grey.
+    excluded = {"marks", "design", "sheet_grey", "seed_um", "labels"}
     template = SpecimenTemplate(run)
-    template.study = {
-        k: model.model_dump(mode="json", exclude_none=True, exclude=excluded_options)
-        for k, model in tables.items()
-    }
+    for section, model in models.items():
+        options = model.model_dump(mode="json", exclude_none=True, exclude=excluded)
+        template.study[section] = options
     template.scan()
     template.greys()
     template.paper()
@@ -77,10 +75,9 @@ class SpecimenTemplate:
     @property
     def notes(self) -> Texts:
         """Sentences on what was taken from the run and what was assumed."""
-        return (
-            *(f"Taken: {note}" for note in self.derived),
-            *(f"Assumed: {note}" for note in self.assumed),
-        )
+        taken = [f"Taken: {note}" for note in self.derived]
+        assumed = [f"Assumed: {note}" for note in self.assumed]
+        return (*taken, *assumed)
 
     def scenario(self, base: Scenario) -> Scenario:
         """The scenario with this paper and these instruments in place of its own.
@@ -104,7 +101,10 @@ class SpecimenTemplate:
         self.params = replace(self.params, **{section: changed})
 
     def scan(self) -> None:
-        """Voxel, size, blur and noise of the volume."""
+        """Voxel, lateral size and blur of the volume.
+
+        Specimens have cubes as voxels, of the same volume, and a field within what is made (x, y).
+        """
         surfaces, voxel_sides = self.sheet.surfaces, self.layer.source.size_um
         voxel_um = float(np.exp(np.mean(np.log(voxel_sides))))
         sides_um = np.multiply(self.layer.source.shape, voxel_sides).tolist()
@@ -131,7 +131,11 @@ class SpecimenTemplate:
             )
 
     def greys(self) -> None:
-        """Noise of the volume, and how bright base and coating are in it."""
+        """Noise of the volume, and how bright base and coating are in it.
+
+        The contrast of the brighter layer to the air is the unit of both. Nothing is taken where
+        the run does not state its greys.
+        """
         surfaces = self.sheet.surfaces
         air, base, noise = surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise
         if air is None or base is None or noise is None:
@@ -149,11 +153,12 @@ class SpecimenTemplate:
         if coating is not None:
             dark, _, light = self.params.scanner.grey
             share = float(np.clip((base - air) / (coating - air), 0.05, 0.95))
-            self.change("scanner", grey=(dark, dark + share * (light - dark), light))
+            middle = dark + share * (light - dark)
+            self.change("scanner", grey=(dark, middle, light))
             self.derived.append(f"The base paper is {share:.2g} times as bright as the coating.")
 
     def paper(self) -> None:
-        """Thicknesses of the layers."""
+        """Thicknesses of the layers, and how uneven the coating is; the rest stays as it is."""
         thicknesses = self.sheet.properties
         if any(p.mean is None for p in thicknesses.values()):
             raise InputError(
@@ -179,19 +184,24 @@ class SpecimenTemplate:
         )
 
     def warp(self) -> None:
-        """Steepest slope, direction and wavelength of the centre surface."""
+        """Steepest slope, direction and wavelength of the centre surface.
+
+        The direction is that of the principal axis of all slopes; a sheet of one rolling wave is
+        made, of the slope along that axis that 95 % keep below. Angles count from x towards y of
+        the flat map as the top shows it.
+        """
         surfaces, flat = self.run.groups["surfaces"], self.run.groups["flat"]
         steps = pitch(surfaces)
         # The slopes of the warp are those of the centre surface over 300 um.
-        strides = [max(1, int(300.0 / 4 / p)) for p in steps]
-        spacing_um = [e * p for e, p in zip(strides, steps, strict=True)]
-        centre = surfaces["centre"].values[:: strides[0], :: strides[1]].astype(np.float64)
+        down, across = (max(1, int(300.0 / 4 / p)) for p in steps)
+        spacing_um = [down * steps[0], across * steps[1]]
+        centre = surfaces["centre"].values[::down, ::across].astype(np.float64)
         if min(centre.shape) < 3:
             raise InputError(
                 "The field of the run is too small to measure how the sheet is bent. Give a larger"
                 " one."
             )
-        dz_dy, dz_dx = (np.gradient(centre, um, axis=axis) for axis, um in enumerate(spacing_um))
+        dz_dy, dz_dx = np.array(np.gradient(centre, *spacing_um))
         is_finite = np.isfinite(dz_dy) & np.isfinite(dz_dx)
         if np.count_nonzero(is_finite) < 10:
             raise InputError(
@@ -201,12 +211,14 @@ class SpecimenTemplate:
         slopes = np.stack([dz_dx[is_finite], dz_dy[is_finite]], axis=1)
         slopes -= slopes.mean(axis=0)  # a tilt of the whole sheet makes it no harder to flatten
         _, directions = np.linalg.eigh(slopes.T @ slopes)
-        ruled_slopes, cross_slopes = slopes @ directions[:, 1], slopes @ directions[:, 0]
+        cross, ruled = directions.T  # of the smaller and of the larger scatter
+        ruled_slopes, cross_slopes = slopes @ ruled, slopes @ cross
         # Of a sine, 0.997 of the steepest.
         steepest_slope = float(np.percentile(np.abs(ruled_slopes), 95))
         if Frame.of(surfaces).mirrored:
             directions = directions * np.array([[-1.0], [1.0]])
-        steepest_deg = float(np.rad2deg(np.arctan2(*directions[::-1, 1])))
+        x, y = directions[:, 1]
+        steepest_deg = float(np.rad2deg(np.arctan2(y, x)))
         ruling = (steepest_deg + 90.0) % 180.0 - 90.0
         wavelength_um = _wavelength(centre, spacing_um, steepest_slope)
         self.change("warp", slope=steepest_slope, wavelength_um=wavelength_um, ruling_deg=ruling)
@@ -231,7 +243,10 @@ class SpecimenTemplate:
         )
 
     def camera(self) -> None:
-        """Pixel size and pose of the image."""
+        """Pixel size and pose of the image, and how well it follows the coating.
+
+        The deviation of the registration's scale from 1 becomes the range of the camera's scale.
+        """
         results = self.run.results
         registration = self.layer.registration
         if registration is None or results.reference.kind != "image":
@@ -251,12 +266,8 @@ class SpecimenTemplate:
             turn_range_deg=0.0,
             scale_range=scale_range,
         )
-        rows = (
-            row
-            for row in results.correlations
-            if row.a_map == self.layer.headline and row.point_um > 50
-        )
-        r2 = next((row.r2 for row in rows), None)
+        of_headline = [row for row in results.correlations if row.a_map == self.layer.headline]
+        r2 = next((row.r2 for row in of_headline if row.point_um > 50), None)
         if r2 is not None and 0.01 < r2 < 0.99:
             self.change("camera", oracle_r2=r2)
             self.derived.append(
@@ -267,7 +278,10 @@ class SpecimenTemplate:
             )
 
     def holes(self) -> None:
-        """Number and diameter of the holes that the run's image shows."""
+        """Number and diameter of the holes that the run's image shows.
+
+        As many as there is room for, and `_LEAST_HOLES` at least, so that specimens can be linked.
+        """
         width, height = self.params.size_um
         inner_um2 = (width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM)
         most_holes = max(_LEAST_HOLES, int(inner_um2 / _HOLE_UM2))
@@ -303,13 +317,16 @@ def _wavelength(centre: Floats, spacing_um: list[float], slope: float) -> float:
     heights = _finite(centre)
     rows, cols = np.nonzero(np.isfinite(centre))
     plane = np.stack([np.ones(heights.size), rows, cols], axis=1)
-    detrended = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
-    span = max(n * um for n, um in zip(centre.shape, spacing_um, strict=True))
+    coefficients, *_ = np.linalg.lstsq(plane, heights, rcond=None)
+    detrended = heights - plane @ coefficients
+    span = max(np.multiply(centre.shape, spacing_um).tolist())
     amplitude = float(np.sqrt(2.0) * detrended.std())
+    wavelength = 2 * np.pi * amplitude / max(slope, 1e-6)
     # Shorter waves than the surface search passes cannot be in its result; longer ones than the
     # field look like a tilt.
-    return float(np.clip(2 * np.pi * amplitude / max(slope, 1e-6), 800.0, 4 * span))
+    return float(np.clip(wavelength, 800.0, 4 * span))
 
 
 def _finite(values: Floats) -> Floats:
+    """Values that are known, one after the other."""
     return values[np.isfinite(values)]

@@ -52,8 +52,9 @@ def by_stage(certificate: Certificate) -> list[tuple[str, list[LedgerLine]]]:
 def cells(line: LedgerLine) -> tuple[str, ...]:
     """Return title, unit, mean, standard deviation, worst value, limit and state, as written."""
     values = ((line.mean, 3), (line.sd, 2), (line.worst, 3))
-    numbers = (NONE if value is None else number(value, digits) for value, digits in values)
-    return line.figure.title, unit(line.figure.unit), *numbers, limit_text(line), STATES[line.met]
+    numbers = [NONE if value is None else number(value, digits) for value, digits in values]
+    units = unit(line.figure.unit)
+    return line.figure.title, units, *numbers, limit_text(line), STATES[line.met]
 
 
 def terminal_rows(certificate: Certificate) -> list[tuple[str, ...]]:
@@ -63,7 +64,9 @@ def terminal_rows(certificate: Certificate) -> list[tuple[str, ...]]:
         rows.append((stage, *[""] * (len(COLUMNS) - 1)))
         for line in group:
             title, *middle, state = map(in_ascii, cells(line))
-            rows.append((f"  {title}", *middle, state.upper() if line.met is False else state))
+            if line.met is False:
+                state = state.upper()
+            rows.append((f"  {title}", *middle, state))
     return rows
 
 
@@ -80,19 +83,28 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
         suffers = STAGES[row.suffers] if row.suffers else NONE
         rows.append((NUISANCES[row.nuisance].title, *added_cells, suffers))
     rows.append(("all together", *_key_cells(table.loud, table.keys), ""))
-    rows.append(("sum / all", *(number(table.ratio[s], 2) for s in table.keys), ""))
-    heading = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
+    ratios = [number(table.ratio[stage], 2) for stage in table.keys]
+    rows.append(("sum / all", *ratios, ""))
+    titles = [_SHORT.get(stage, stage) for stage in table.keys]
+    heading = ("", *titles, "suffers")
     return heading, [tuple(map(in_ascii, row)) for row in rows]
 
 
 def _key_cells(values: Values, keys: dict[str, str]) -> list[str]:
     """Value of each stage, with the decimals of its key figure."""
-    decimals = {stage: 4 if FIGURES[name].unit == "1" else 2 for stage, name in keys.items()}
-    return [fixed(values[stage], decimals[stage]) for stage in keys]
+    written: list[str] = []
+    for stage, name in keys.items():
+        decimals = 4 if FIGURES[name].unit == "1" else 2
+        written.append(fixed(values[stage], decimals))
+    return written
 
 
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
-    """The certificate as a section of Markdown."""
+    """The certificate as a section of Markdown.
+
+    It has a row for each figure, with the title of its stage in the first one, and below that
+    table what each nuisance does where ``table`` is given.
+    """
     sentences = f"{verdict(certificate)} {summary(certificate)}"
     lines = [f"## {certificate.scenario.title}", "", sentences, ""]
     for bullets in (certificate.notes, _fault_texts(certificate.entries)):
@@ -203,7 +215,7 @@ def _mesh_verdict(lines: dict[str, LedgerLine]) -> str:
 
 
 def verdict(certificate: Certificate) -> str:
-    """Say in one or two sentences which errors a user may expect."""
+    """Say in one or two sentences which errors a user may expect: means over the specimens."""
     lines = certificate.lines()
     if certificate.scenario.kind == "mesh":
         return _mesh_verdict(lines)
@@ -250,8 +262,9 @@ def _limits_sentence(limits_met: Sequence[bool], specimens_text: str) -> str:
     if not limits_met:
         return "The scenario sets no limits."
     missed = limits_met.count(False)
+    verb = "is" if missed == 1 else "are"
     if missed:
-        return f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed."
+        return f"{missed} of {len(limits_met)} limits {verb} missed."
     return f"All {len(limits_met)} limits are met by {specimens_text}."
 
 
@@ -298,7 +311,11 @@ def row_sentence(row: NuisanceRow) -> str:
 
 
 def sum_sentence(stage: str, table: Sensitivity) -> str:
-    """Say whether the errors of single nuisances add up to that of all together."""
+    """Say whether the errors of single nuisances add up to that of all together.
+
+    A stage has names in ``table.together`` where they do not: of the nuisances whose leaving out
+    changes most.
+    """
     ratio = table.ratio[stage]
     title = STAGES[stage]
     names = table.together.get(stage)

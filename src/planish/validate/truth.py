@@ -53,7 +53,8 @@ class Comparison:
         """Rows and columns of the chosen columns."""
         rows, cols = self.surfaces["status"].shape
         # More columns do not make a percentile any surer.
-        step = max(1, int(np.ceil(np.sqrt(rows * cols / 400_000))))
+        coarser = np.sqrt(rows * cols / 400_000)
+        step = max(1, int(np.ceil(coarser)))
         return np.arange(0, rows, step), np.arange(0, cols, step)
 
     @cached_property
@@ -71,7 +72,8 @@ class Comparison:
     @cached_property
     def material(self) -> Floats:
         """True material (rows, cols, 3) of the points of the centre surface that the run found."""
-        return self.material_over(self.at_columns(self.surfaces["centre"].values), *self.columns)
+        heights = self.at_columns(self.surfaces["centre"].values)
+        return self.material_over(heights, *self.columns)
 
     @cached_property
     def measured(self) -> Bools:
@@ -84,9 +86,11 @@ class Comparison:
         The places are (m, n, 3) as x, y, z of the file, in um; the heights are (m, n).
         """
         frame = Frame.of(self.surfaces)
+        y_um = self.surfaces["y"].values[rows]
+        x_um = self.surfaces["x"].values[cols]
         coordinates = {
-            frame.rows: self.surfaces["y"].values[rows][:, None],
-            frame.cols: self.surfaces["x"].values[cols][None, :],
+            frame.rows: y_um[:, None],
+            frame.cols: x_um,
             frame.through: np.asarray(heights, dtype=np.float64),
         }
         return points_of(coordinates)
@@ -127,24 +131,26 @@ class Comparison:
     @cached_property
     def true_uv(self) -> tuple[Floats, Floats]:
         """True material (u, v) of the pixels."""
-        u, v = (np.asarray(self.specimen.truth[axis].values, np.float64) for axis in "uv")
+        u, v = (self.specimen.truth[axis].values.astype(np.float64) for axis in "uv")
         return u, v
 
     @cached_property
     def linked_material(self) -> Floats:
         """Material (y, x, 3) at the place in the volume that the run gives for each valid pixel."""
-        places = volume_places(self.linked)
-        return self.material_at(np.where(self.valid[..., None], places, np.nan))
+        places = np.where(self.valid[..., None], volume_places(self.linked), np.nan)
+        return self.material_at(places)
 
     @cached_property
     def place_error_um(self) -> Floats:
         """Error of each pixel: distance in the sheet from the material shown to the one given."""
         u, v = self.true_uv
-        return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)
+        linked_u, linked_v, _ = np.moveaxis(self.linked_material, -1, 0)
+        return np.hypot(linked_u - u, linked_v - v)
 
     def linked_values(self, name: str) -> Floats:
         """A property as it was linked; NaN where a pixel is not valid."""
-        return np.where(self.valid, self.linked[name].values.astype(np.float64), np.nan)
+        values = self.linked[name].values.astype(np.float64)
+        return np.where(self.valid, values, np.nan)
 
     def pixel_thickness(self, name: str, u: Floats, v: Floats) -> Floats:
         """True thickness in um as the mean over a pixel's area around the material (u, v)."""
@@ -165,16 +171,20 @@ class Comparison:
         for step in pitch(truth):
             # Of a pixel that counts as a point: the sheet holds little below.
             n = max(1, round(step / 4.0))
-            axis_offsets.append(step * ((np.arange(n) + 0.5) / n - 0.5))
-        offsets = grid_points(*axis_offsets[::-1]).reshape(-1, 2)
-        centre = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
+            shares = (np.arange(n) + 0.5) / n - 0.5
+            axis_offsets.append(step * shares)
+        down, across = axis_offsets
+        offsets = grid_points(across, down).reshape(-1, 2)
+        centre = np.array([float(truth[axis].values.mean()) for axis in "xy"])
         inverse = self.specimen.pose.inverse
-        return np.asarray(inverse(centre + offsets) - inverse(centre[None]), dtype=np.float64)
+        around, middle = inverse(centre + offsets), inverse(centre[None])
+        return np.asarray(around - middle, dtype=np.float64)
 
 
 def points_of(coordinates: Mapping[str, Floats | float]) -> Floats:
     """Points (..., 3) of their coordinates by axis, which are spread out against each other."""
-    return np.stack(np.broadcast_arrays(*(coordinates[axis] for axis in "xyz")), axis=-1)
+    spread = np.broadcast_arrays(*(coordinates[axis] for axis in "xyz"))
+    return np.stack(spread, axis=-1)
 
 
 def volume_places(maps: xr.Dataset) -> Floats:
@@ -183,6 +193,7 @@ def volume_places(maps: xr.Dataset) -> Floats:
 
 
 def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Floats:
+    """Apply a function to points (..., 3) that have a place; the others stay NaN."""
     is_finite = np.isfinite(points).all(axis=-1)
     mapped = np.full(points.shape, np.nan)
     if is_finite.any():
@@ -209,8 +220,8 @@ def field_at(sheet: DrawnSheet, field: Singles, u: Floats, v: Floats) -> Floats:
 
 def rms(errors: Floats) -> float | None:
     """Root mean square of what is finite; None where nothing is."""
-    finite = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else None
+    mean_square = mean_of(errors**2)
+    return None if mean_square is None else float(np.sqrt(mean_square))
 
 
 def percentile(errors: Floats, percent: float) -> float | None:
