@@ -9,10 +9,10 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
+from checks.made_windows import window_of
 from planish.checks import CHECKS, MeasuredSheet, check_scan, sheets
 from planish.checks.greys import clipping, level_jump, noise_width
 from planish.checks.scan import core_places, voxels_through
-from planish.checks.windows import window_of
 from planish.measure import Greys
 from surface.sheets import volume as sheets_volume
 

@@ -9,8 +9,9 @@ import tifffile
 import xarray as xr
 from scipy import ndimage
 
+from checks.made_windows import window_of
 from planish.checks import CHECKS
-from planish.checks.windows import read_windows, window_of
+from planish.checks.windows import read_windows
 
 
 def body(shape=(80, 60, 65), *, seed=0, size=2.5, noise=0.3):

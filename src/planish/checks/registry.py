@@ -42,6 +42,11 @@ from planish.results import (
 
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 _pair_of = attrgetter("a", "a_map", "b", "b_map")  # maps of two layers
+_MAPS = (PROPERTIES,)
+_PLACE = (POSITION,)
+_R = (CORRELATION,)
+_MAPS_AND_PLACE = (PROPERTIES, POSITION)
+_PLACE_AND_R = (POSITION, CORRELATION)
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
 _ABOVE_FORM = (*HEIGHTS, "roughness_top", "roughness_bottom")
@@ -51,19 +56,19 @@ _SIDES = ("coating_top", "coating_bottom", *HEIGHTS, "half_thickness_top", "half
 _INTERFACES = ("coating_top", "coating_bottom", "base_surface_top", "base_surface_bottom", *_BASE)
 CHECKS = (
     # planish map: from the maps of a sheet
-    CheckRule("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
-    CheckRule("missing voxels", MeasuredSheet, (PROPERTIES,), sheets.missing_voxels),
-    CheckRule("film", MeasuredSheet, (PROPERTIES,), sheets.film),
-    CheckRule("fold-over", MeasuredSheet, (POSITION,), sheets.fold_over),
-    CheckRule("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
-    CheckRule("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
+    CheckRule("coverage", MeasuredSheet, _MAPS, sheets.coverage),
+    CheckRule("missing voxels", MeasuredSheet, _MAPS, sheets.missing_voxels),
+    CheckRule("film", MeasuredSheet, _MAPS, sheets.film),
+    CheckRule("fold-over", MeasuredSheet, _PLACE, sheets.fold_over),
+    CheckRule("alignment", MeasuredSheet, _MAPS_AND_PLACE, sheets.alignment),
+    CheckRule("cut-off", MeasuredSheet, _PLACE, sheets.cutoff),
     CheckRule("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
     CheckRule("field of the topography", MeasuredSheet, _ABOVE_FORM, sheets.field_of_heights),
-    CheckRule("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
+    CheckRule("corrections", MeasuredSheet, _MAPS, sheets.corrections),
     # planish map and link: from what a file says of its size
     CheckRule("size by dpi", SizedLayer, _ALL, sizes.size_by_dpi),
     # planish map: from the volume
-    CheckRule("hand of the volume", ScannedSheet, (POSITION, CORRELATION), files.hand_of_volume),
+    CheckRule("hand of the volume", ScannedSheet, _PLACE_AND_R, files.hand_of_volume),
     CheckRule("reading of the volume", ScannedSheet, _ALL, files.reading),
     CheckRule("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
     CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
@@ -72,10 +77,10 @@ CHECKS = (
     CheckRule("grey of the coating", GreyScan, _INTERFACES, greys.coating_grey),
     CheckRule("porosity", GreyScan, _VOIDS, greys.porosity),
     CheckRule("filler", GreyScan, ("filler", "filler_weight"), greys.filler),
-    CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
-    CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
-    CheckRule("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
-    CheckRule("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
+    CheckRule("grey of the slices", GreyScan, _MAPS, greys.steady_grey),
+    CheckRule("grey across the sheet", GreyScan, _MAPS, greys.shading),
+    CheckRule("one sheet", GreyScan, _MAPS_AND_PLACE, sheets.one_sheet),
+    CheckRule("blur of the scan", GreyScan, _MAPS_AND_PLACE, greys.blur),
     CheckRule("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
     CheckRule("dust, top", ScannedSheet, ("coating_top", *_BASE), partial(sheets.dust, side="top")),
     CheckRule(
@@ -85,13 +90,13 @@ CHECKS = (
         partial(sheets.dust, side="bottom"),
     ),
     # planish link: from an image
-    CheckRule("hand of the image", ImageFile, (POSITION, CORRELATION), files.hand_of_image),
-    CheckRule("white image", ImageFile, (CORRELATION,), images.white_image),
-    CheckRule("linear grey", ImageFile, (CORRELATION,), images.linear_grey),
+    CheckRule("hand of the image", ImageFile, _PLACE_AND_R, files.hand_of_image),
+    CheckRule("white image", ImageFile, _R, images.white_image),
+    CheckRule("linear grey", ImageFile, _R, images.linear_grey),
     # planish link: from a registration
     CheckRule("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
-    CheckRule("marks", JudgedRegistration, (POSITION,), registration.marks),
-    CheckRule("scale", JudgedRegistration, (PROPERTIES, POSITION), registration.scale),
+    CheckRule("marks", JudgedRegistration, _PLACE, registration.marks),
+    CheckRule("scale", JudgedRegistration, _MAPS_AND_PLACE, registration.scale),
     CheckRule(
         "strain of the registration",
         JudgedRegistration,
@@ -99,7 +104,7 @@ CHECKS = (
         registration.strain,
     ),
     CheckRule("tilt of the holes", JudgedRegistration, (POSITION, PROPERTIES), registration.tilt),
-    CheckRule("machine direction", JudgedRegistration, (POSITION,), registration.machine_direction),
+    CheckRule("machine direction", JudgedRegistration, _PLACE, registration.machine_direction),
     CheckRule(
         "holes in NAME",
         DetectedHoles,
@@ -107,14 +112,14 @@ CHECKS = (
         registration.holes_of_layer,
     ),
     # planish link: from the layers on one grid
-    CheckRule("common field", LayerFacts, (CORRELATION,), registration.common_field),
+    CheckRule("common field", LayerFacts, _R, registration.common_field),
     CheckRule(
         "holes without partner",
         HolesOnSheet,
-        (POSITION, CORRELATION),
+        _PLACE_AND_R,
         registration.holes_without_partner,
     ),
-    CheckRule("clipped image", SheetImage, (CORRELATION,), greys.clipped_image),
+    CheckRule("clipped image", SheetImage, _R, greys.clipped_image),
     CheckRule(
         "side and specimen",
         TextureChecks,
@@ -124,12 +129,12 @@ CHECKS = (
     CheckRule(
         "position by texture",
         TextureChecks,
-        (POSITION, CORRELATION),
+        _PLACE_AND_R,
         lambda _, textures: textures.position,
     ),
-    CheckRule(light.EVEN_LIGHT, EvidenceFacts, (CORRELATION,), light.even_light),
-    CheckRule("side light", LagNumbers, (CORRELATION,), light.side_light),
-    CheckRule("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
+    CheckRule(light.EVEN_LIGHT, EvidenceFacts, _R, light.even_light),
+    CheckRule("side light", LagNumbers, _R, light.side_light),
+    CheckRule("linked area", LinkedArea, _R, registration.linked_area),
 )
 """Rows in the order of the results, each a :class:`planish.core.checks.CheckRule`."""
 

@@ -6,7 +6,7 @@ Taken in windows of some 300 x 300 voxels, in one pass.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product as pairs_of
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,17 +40,6 @@ class Window:
     square: Floats  # (slices - 1,): means over voxels of u_k²
     product: Floats  # (slices - 2,): and of u_k u_k+1
     blocks: NDArray[np.float32]  # (slices, rows, cols): means of 5 x 5 voxels
-
-
-def window_of(slices: Array, axis: Axis = "z") -> Window:
-    """Sum up slices that are in memory, (slices, rows, cols)."""
-    part = np.ascontiguousarray(slices, dtype=np.float32)
-    _, rows, cols = part.shape
-    square, product, blocks = _sums(part, edge=min(BLOCK, rows, cols))
-    voxels = rows * cols
-    return Window(
-        axis=axis, first=0, square=square / voxels, product=product / voxels, blocks=blocks
-    )
 
 
 class WindowReading(NamedTuple):
@@ -94,7 +83,7 @@ def read_windows(
             volume, axis, boxes[axis], piece, points, in_piece, fill_grey, is_sampled=is_sampled
         )
 
-    jobs = [*pairs_of(_pieces(volume, in_order), axes)]
+    jobs = [*product(_pieces(volume, in_order), axes)]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[Array] = []
@@ -266,15 +255,15 @@ def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float, edge: 
     """Sums over greys (z, y, x) along an axis; what is not finite counts as ``fill_grey``."""
     along_first = np.moveaxis(greys, "zyx".index(axis), 0)
     slices = np.ascontiguousarray(along_first, dtype=np.float32)
-    sums = _sums(slices, n_before, edge=edge)
+    sums = _sums(slices, n_before, edge)
     square, _, blocks = sums
     if np.isfinite(square).all() and np.isfinite(blocks).all():
         return sums
     filled = np.nan_to_num(slices, nan=fill_grey, posinf=fill_grey, neginf=fill_grey)
-    return _sums(filled, n_before, edge=edge)
+    return _sums(filled, n_before, edge)
 
 
-def _sums(part: NDArray[np.float32], n_before: int = 0, *, edge: int) -> Sums:
+def _sums(part: NDArray[np.float32], n_before: int, edge: int) -> Sums:
     """Sums over pairs of slices, and means of whole blocks.
 
     The first ``n_before`` slices belong to the part before.

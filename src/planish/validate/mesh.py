@@ -100,13 +100,13 @@ def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Floats, Flo
     return start, rest_lengths(flat)
 
 
-def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
+def cylinder() -> tuple[Floats, Floats]:
     """Return projection and places of nodes that are equally spaced in x on an arc.
 
     The projection is (rows, cols, 2), the places are (rows, cols, 3).
     """
-    flat = grid(rows, cols)
-    flat[..., 0] -= (cols - 1) / 2
+    flat = grid(96, 128)
+    flat[..., 0] -= flat[0, -1, 0] / 2
     height = np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)
     arc_points = np.concatenate([flat, height], axis=-1)
     return flat, arc_points
