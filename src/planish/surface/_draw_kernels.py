@@ -28,7 +28,8 @@ def _blurred(x, w, fringe, ratio):
 def _misfit(g, lo, hi, w, at, other, fringe, ratio):
     """Squares left by levels on both sides of ``at`` and beyond ``other`` (NaN: none).
 
-    And the rise at ``at``.
+    And the rise at ``at``: the step of the level there, inwards. The levels are those that fit
+    g[lo:hi+1] best, whose edges are blurred by ``w``.
     """
     m = np.zeros((3, 3))
     r = np.zeros(3)

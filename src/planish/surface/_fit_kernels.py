@@ -103,9 +103,10 @@ def _solve4(m, r, n):
 def evaluate(
     g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio, wall, depth
 ):
-    """Return the cost at p.
+    """Return the cost at p = (h, t, c, b): squared misfits over the noise, and over the priors.
 
-    Set the lower triangle of ``matrix`` and ``step`` to the normal equations there.
+    Set the lower triangle of ``matrix`` (4, 4) and ``step`` (4,) to the normal equations there. The
+    arguments are those of :func:`fit_column`.
     """
     # Sums in variables of their own stay in registers.
     cost = s0 = s1 = s2 = s3 = 0.0
@@ -200,8 +201,12 @@ def fit_column(  # noqa: C901
 ):
     """Fit p = (h, t, c, b) to g[lo:hi+1] by Levenberg-Marquardt; return the cost per sample.
 
-    ``prior`` and ``spread`` (4): Gaussian prior on p; a spread of 0 means none, below 0 holds the
-    value fixed. Without a coating t is left as it is.
+    ``g`` (depth,), read from outside; ``air`` and ``noise``: level of the air and what a sample
+    differs by from its model; ``w``: width of the blur along the column, in voxels. ``p`` (4,)
+    holds the start and is set to the fit. ``prior`` and ``spread`` (4): Gaussian prior on p; a
+    spread of 0 means none, below 0 holds the value fixed. Without a coating (``coated``) t is left
+    as it is. ``matrix`` (4, 4) and ``step`` (4,) are room to work in. ``fringe`` (None: none),
+    ``ratio``, ``wall`` and ``depth``, here along the column, are as for :func:`fit_faces`.
     """
     damping = 1e-3
     old = np.empty((6, 4))  # matrix, step and p before a trial
@@ -295,6 +300,12 @@ def darkest(g, d0, reach, noise):
 
 @njit(cache=True, nogil=True)
 def _guess(g, d0, air, w, middle, prior, coated):
+    """Where the fit starts: depth of the face next to sample d0, and thickness of the coating.
+
+    The face where the grey passes half of its rise. The coating ends where the lightly smoothed
+    grey, once it was as light as coating, falls below half way between coating and base; it is
+    sought down to ``middle``.
+    """
     depth = g.size
     # Half height between the air and what lies just inside, so that a coating does not pull the
     # start outwards.

@@ -41,12 +41,20 @@ def lone_greys(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Lon
     """
     if not any(priors.coated):
         return {}
-    greys = {k: _grey(sums) for k, sums in _lone_sums(columns, guide, priors).items()}
-    return {k: grey for k, grey in greys.items() if grey is not None}
+    greys: dict[bool, LoneGrey] = {}
+    for from_high, sums in _lone_sums(columns, guide, priors).items():
+        grey = _grey(sums)
+        if grey is not None:
+            greys[from_high] = grey
+    return greys
 
 
 def _lone_sums(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Floats]:
-    """Sums over lone voxels by side, (fields, radii, blocks), of so many patches as are needed."""
+    """Sums over lone voxels by side, (fields, radii, blocks), of so many patches as are needed.
+
+    The fields are those of :func:`_run_sums`. A second round of patches is read where a side shows
+    too few lone voxels in the first one.
+    """
     patches = patches_of(columns, guide, _ROUNDS * _ROUND)
     per_round = -(-len(patches) // _ROUNDS)
     sums: dict[bool, Floats] = {}
@@ -54,7 +62,8 @@ def _lone_sums(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Flo
         jobs = [(columns, guide, priors, patch) for patch in patches[start : start + per_round]]
         for patch_sums in map_threads(_patch_sums, jobs):
             for k, field in patch_sums.items():
-                sums[k] = np.concatenate([sums[k], field], axis=2) if k in sums else field
+                before = [sums[k]] if k in sums else []
+                sums[k] = np.concatenate([*before, field], axis=2)
         if min(field[0, 0].sum() for field in sums.values()) >= _ENOUGH:
             break
     return sums
@@ -66,29 +75,38 @@ def patches_of(columns: Columns, guide: Guide, most: int) -> list[Tile]:
     The first of them are spread over it as well.
     """
     edge = int(np.clip(np.sqrt(_PATCH_VOXELS / columns.shape[2]), 16, _EDGE))
+    has_sheet = np.isfinite(guide.low)
     all_tiles = tiles_of(columns.shape[:2], (edge, edge))
-    tiles = [t for t in all_tiles if np.isfinite(guide.low[t.rows, t.cols]).any()]
+    tiles = [tile for tile in all_tiles if has_sheet[tile.rows, tile.cols].any()]
     order = np.argsort((np.arange(len(tiles)) * 0.6180339887498949) % 1.0)  # the golden section
-    return [tiles[k] for k in order[: max(most // edge**2, 1)]]
+    most_tiles = max(most // edge**2, 1)
+    return [tiles[k] for k in order[:most_tiles]]
 
 
 def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
-    """Sums over lone voxels by side: (fields, radii, blocks)."""
+    """Sums over lone voxels of a patch by side: (fields, radii, blocks).
+
+    The fields are those of :func:`_run_sums`, the radii ``RADII``, and the blocks squares of the
+    patch whose greys are taken for independent.
+    """
     columns, guide, priors, patch = job
     depths = fit_tile(fit_job(columns, guide, priors, patch), patch)
     # As it is: neighbours would dim what lies beside a face.
     scale = replace(priors.scale, blend_sd=0.0)
     grey, _ = oriented(columns, patch, guide.part(patch), scale)
     block_row, block_col = map(_block_numbers, patch.shape, columns.pitch)
-    block_index = (block_row[:, None] * (block_col[-1] + 1) + block_col).ravel()
+    block_cols = block_col[-1] + 1
+    block_index = (block_row[:, None] * block_cols + block_col).ravel()
     # A fringe reaches as far as a blur of its own width.
     edge = priors.edge
-    unit_um = max(edge.width, edge.fringe_width if edge.fringe else 0.0) * columns.pitch[2]
+    unit_px = max(edge.width, edge.fringe_width) if edge.fringe else edge.width
+    unit_um = unit_px * columns.pitch[2]
     sums: dict[bool, Floats] = {}
     for k, from_high in enumerate((True, False)):
         if not priors.sides[from_high].coated:
             continue
         inward_grey = grey[..., ::-1] if from_high else grey
+        # Sums of the grey from outside down to each voxel, of which runs are differences.
         summed = np.zeros((*patch.shape, grey.shape[2] + 1))
         known_grey = np.nan_to_num(inward_grey)
         np.cumsum(known_grey, axis=2, dtype=np.float64, out=summed[..., 1:])
@@ -110,7 +128,11 @@ def _block_numbers(count: int, pitch_um: float) -> Ints:
 
 
 def _beyond_ball(outer: Floats, inner: Floats, radius_um: float, pitch_um: Pitch) -> TwoFields:
-    """First and last depth, in voxels, that lie a radius from both faces and from missing ones."""
+    """First and last depth, in voxels, that lie a radius from both faces and from missing ones.
+
+    Each (rows, cols), of a layer from ``outer`` to ``inner`` (rows, cols), in voxels from outside,
+    NaN where not known. The last lies before the first where nothing does.
+    """
     down, across = (int(radius_um / p) for p in pitch_um[:2])
     rows, cols = np.ogrid[-down : down + 1, -across : across + 1]
     square_um2 = radius_um**2 - (rows * pitch_um[0]) ** 2 - (cols * pitch_um[1]) ** 2
@@ -129,16 +151,22 @@ def _beyond_ball(outer: Floats, inner: Floats, radius_um: float, pitch_um: Pitch
 
 
 def _run_sums(summed: Floats, first: Floats, last: Floats) -> list[Floats]:
-    """Fields of the voxels from first to last depth of each column."""
+    """Fields of the voxels from first to last depth of each column, (rows, cols) each.
+
+    Their number, the sum of their greys, the number in one half of them, and the sums of the greys
+    in the outer and in the inner half; a middle voxel is in neither. ``summed`` (rows, cols, depth
+    + 1): sums of the grey above each depth.
+    """
     depth_count = summed.shape[2] - 1
     start = np.clip(np.ceil(first), 0, depth_count).astype(int)
     stop = np.clip(np.floor(last) + 1, start, depth_count).astype(int)
     count = stop - start
     half = count // 2
-    at_start, at_half, at_rest, at_stop = (
-        at_index(summed, index) for index in (start, start + half, stop - half, stop)
-    )
-    return [count, at_stop - at_start, half, at_half - at_start, at_stop - at_rest]
+    at_start = at_index(summed, start)
+    at_stop = at_index(summed, stop)
+    outer = at_index(summed, start + half) - at_start
+    inner = at_stop - at_index(summed, stop - half)
+    return [count, at_stop - at_start, half, outer, inner]
 
 
 def _grey(sums: Floats) -> LoneGrey | None:
@@ -167,8 +195,8 @@ def _grey(sums: Floats) -> LoneGrey | None:
 def _weighted(total: Floats, count: Floats) -> tuple[float, float, float]:
     """Median of the blocks' means, its standard error and the spread between the blocks.
 
-    All are weighted by the blocks' counts. A laser chars the coating around its holes: a mean would
-    follow such places, a median does not.
+    From sums and counts (blocks,); 0 of nothing. All are weighted by the blocks' counts. A laser
+    chars the coating around its holes: a mean would follow such places, a median does not.
     """
     is_seen = count > 0
     if not is_seen.any():
@@ -178,5 +206,7 @@ def _weighted(total: Floats, count: Floats) -> tuple[float, float, float]:
     median = float(np.quantile(means, 0.5, weights=weight, method="inverted_cdf"))
     deviation = means - median
     blocks = max(weight.size, 2)
-    error = _OF_MEDIAN * np.sqrt(np.sum((weight * deviation) ** 2) * blocks / (blocks - 1))
-    return median, float(error), float(np.sqrt(np.sum(weight * deviation**2)))
+    mean_variance = np.sum((weight * deviation) ** 2) * blocks / (blocks - 1)
+    error = _OF_MEDIAN * np.sqrt(mean_variance)
+    spread = np.sqrt(np.sum(weight * deviation**2))
+    return median, float(error), float(spread)

@@ -32,7 +32,11 @@ _SIGMAS = 6.0  # a block is material when it differs from the air by so many sta
 
 
 def make_choice(columns: Columns, block: int, shape: Shape, params: SurfaceParams) -> Choice:
-    """Give block width, the seed point in block indices, and words for a place in block indices."""
+    """Give block width, the seed point in block indices, and words for a place in block indices.
+
+    ``block``: columns along the edge of a block; ``shape``: of the block means, (block rows, block
+    cols, depth). VolumeError where the seed point lies outside the volume.
+    """
     volume = columns.volume
     lateral_px = block * columns.step
     block_px = dict(zip(columns.axes, (lateral_px, lateral_px, 1), strict=True))
@@ -41,7 +45,8 @@ def make_choice(columns: Columns, block: int, shape: Shape, params: SurfaceParam
         place_um: dict[str, float] = {}
         for (axis, width_px), i in zip(block_px.items(), block_index, strict=True):
             coords_um = volume[axis].values
-            place_um[axis] = float(coords_um[min(int((i + 0.5) * width_px), coords_um.size - 1)])
+            middle = min(int((i + 0.5) * width_px), coords_um.size - 1)
+            place_um[axis] = float(coords_um[middle])
         return ",".join(f"{place_um[axis]:.4g}" for axis in ("z", "y", "x"))
 
     choice = Choice(block=block, describe=describe)
@@ -70,13 +75,21 @@ def choose_sheet(
     choice: Choice,
     scatter: float | None,
 ) -> tuple[CoarseSheet, Surroundings, float]:
-    """Find the sheet in the block means; return it, what lies beside it, and its polarity."""
+    """Find the sheet in the block means; return it, what lies beside it, and its polarity.
+
+    ``sharp_blocks``: the means before they were smoothed, for a sheet at a seed; ``air``: grey of
+    the air, ``scatter``: its standard deviation in block means, None where it is not known. The
+    polarity is +1 where the sheet is lighter than the air, else -1.
+    """
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
         grey = blocks if choice.seed is None else sharp_blocks
-        polarity, edge = (1.0, low) if 0.5 * (low + high) >= air else (-1.0, high)
+        is_lighter = 0.5 * (low + high) >= air
+        polarity = 1.0 if is_lighter else -1.0
+        # The end of the range that is next to the air.
+        edge_contrast = abs((low if is_lighter else high) - air)
         is_inside = (grey >= low) & (grey <= high)
-        sheet = search_sheet(polarity * (grey - air), is_inside, abs(edge - air), choice)
+        sheet = search_sheet(polarity * (grey - air), is_inside, edge_contrast, choice)
         return sheet, "air" if choice.seed is None else "material", polarity
     polarity, threshold, min_threshold = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)
@@ -189,15 +202,17 @@ def material(
     scatter = max(air_scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
     is_bright = deviation > _SIGMAS * scatter
     is_dark = deviation < -_SIGMAS * scatter
-    if max(np.count_nonzero(is_bright), np.count_nonzero(is_dark)) < 1e-4 * deviation.size:
+    if max(is_bright.mean(), is_dark.mean()) < 1e-4:
         raise VolumeError(
             f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard"
             f" deviations of the air's grey ({air:.4g}). Check that this is the reconstructed"
             " volume, and `through`."
         )
     is_lighter = contrast[is_bright].sum() >= contrast[is_dark].sum()
-    typical_contrast = float(np.median(contrast[is_bright if is_lighter else is_dark]))
-    end_grey = blocks[..., [0, 1, 2, -3, -2, -1]].astype(float)
+    material_contrast = contrast[is_bright if is_lighter else is_dark]
+    typical_contrast = float(np.median(material_contrast))
+    # The first and the last three voxels of a column are air as a rule.
+    end_grey = np.delete(blocks, slice(3, -3), axis=-1).astype(float)
     threshold = max(_SIGMAS * scatter, 0.35 * typical_contrast)
     least_threshold = max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast)
     return 1.0 if is_lighter else -1.0, threshold, least_threshold
@@ -215,6 +230,10 @@ def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:
 
 
 def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
+    """Find the sheet above a first threshold, and again above a better one.
+
+    ``oriented``: grey above the air; VolumeError if there is no sheet with both faces.
+    """
     sheet = search_sheet(oriented, oriented > threshold, threshold, choice)
     rows, cols = np.nonzero(sheet.is_whole)
     if rows.size == 0:
@@ -222,9 +241,9 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
             "No column of the volume shows both faces of the sheet: it leaves the volume on one"
             " side, or `through` names another axis."
         )
-    low, high = sheet.low[rows, cols], sheet.high[rows, cols]
-    core_offsets = (high - low)[:, None] * np.linspace(*CORE, 7)
-    depth = np.rint(low[:, None] + core_offsets).astype(int)
+    low = sheet.low[rows, cols][:, None]
+    thickness = sheet.high[rows, cols][:, None] - low
+    depth = np.rint(low + thickness * np.linspace(*CORE, 7)).astype(int)
     core_grey = oriented[rows[:, None], cols[:, None], depth]
     # The core tells the base's level, and that a better threshold: half way between air and base.
     base = float(np.median(core_grey.astype(float)))
@@ -236,7 +255,11 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
 def _seeded(
     oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice
 ) -> tuple[CoarseSheet, bool]:
-    """Find the sheet at the seed, and tell whether other material, and not air, lies beside it."""
+    """Find the sheet at the seed, and tell whether other material, and not air, lies beside it.
+
+    ``oriented``, ``sharp_blocks``: grey above the air, smoothed and as it is. VolumeError if there
+    is nothing, or it touches others at every grey.
+    """
     assert choice.seed is not None
     last_error: VolumeError | None = None
     # In air the usual threshold will do. Amid other material it is raised until the sheet stands
@@ -276,7 +299,8 @@ def _seeded(
 
 
 def _touching_share(sheet: CoarseSheet) -> float:
-    measured_count = np.count_nonzero(np.isfinite(sheet.low) | np.isfinite(sheet.high))
+    has_face = np.isfinite(sheet.low) | np.isfinite(sheet.high)
+    measured_count = np.count_nonzero(has_face)
     touching_count = np.count_nonzero(sheet.is_touching)
     return touching_count / max(measured_count + touching_count, 1)
 

@@ -80,7 +80,8 @@ class Choice:
 def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
     """Measure the sheet at the seed, or the only slab ``inside``.
 
-    VolumeError if none, several, or from end to end.
+    VolumeError if none, several, or from end to end. ``blocks``: grey above the air; ``inside``,
+    as these: what may be sheet; ``threshold``: grey at which its faces are placed.
     """
     if choice.seed is not None:
         return followed_sheet(blocks, inside, threshold, choice)
@@ -143,10 +144,14 @@ def _counts(labels: Labels, n_objects: int) -> tuple[Labels, Labels]:
 
 
 def _check_slab(in_sheet: Bools) -> None:
-    """Raise VolumeError if a slab leaves the volume, or is several sheets behind each other."""
+    """Raise VolumeError if a slab leaves the volume, or is several sheets behind each other.
+
+    ``in_sheet`` (block rows, block cols, depth).
+    """
     n_filled = in_sheet.sum(axis=-1)
     has_sheet = n_filled > 0
-    share_at_end = {"low": in_sheet[..., 0].mean(), "high": in_sheet[..., -1].mean()}
+    share_at_end = {"low": in_sheet[..., 0].mean()}
+    share_at_end["high"] = in_sheet[..., -1].mean()
     end = max(share_at_end, key=share_at_end.__getitem__)
     leaving_share = share_at_end[end] / has_sheet.mean()
     if leaving_share > _LEAVES:
@@ -173,13 +178,18 @@ def _points_text(
     threshold: float,
     choice: Choice,
 ) -> str:
-    """Name a point inside each object from which a whole sheet can be followed."""
+    """Name a point inside each object from which a whole sheet can be followed, for a message.
+
+    The middle of the object in its column next to the middle of all. ``labels`` as ``blocks``:
+    number of the object of each voxel.
+    """
     points: list[str] = []
     for label in sheet_labels:
         in_object = labels == label
         rows, cols = np.nonzero(in_object.any(axis=-1))
-        off_middle = (rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2
-        k = int(np.argmin(off_middle))
+        down = rows - np.median(rows)
+        across = cols - np.median(cols)
+        k = int(np.argmin(down**2 + across**2))
         depth = np.flatnonzero(in_object[rows[k], cols[k]])
         point = int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
         with suppress(VolumeError):
@@ -206,7 +216,7 @@ def _leading(labels: Labels, candidates: Sequence[int], blocks: Blocks) -> int |
     It lies above or below all others, and is brighter or thicker than they are.
 
     None where there is no such object: a sheet that came apart is several objects of paper, and
-    none of them leads.
+    none of them leads. ``candidates``: labels of the objects.
     """
     covered: list[Bools] = []
     is_uneven: list[bool] = []
@@ -225,6 +235,7 @@ def _leading(labels: Labels, candidates: Sequence[int], blocks: Blocks) -> int |
     leader = is_uneven.index(True)
     is_brighter = bright[leader] >= _BRIGHTER * np.array(bright)
     is_thicker = thick[leader] >= _THICKER * np.array(thick)
+    # Above or below the leader where half of its columns are also the leader's.
     n_shared = np.count_nonzero(np.array(covered) & covered[leader], axis=1)
     lies_across = n_shared >= 0.5 * np.count_nonzero(covered, axis=1)
     is_behind = (is_brighter | is_thicker) & lies_across
@@ -254,11 +265,14 @@ def _companion(blocks: Blocks, in_object: Bools, low: Floats, high: Floats) -> C
 
 
 def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
-    """Follow the sheet at the seed point from column to column; VolumeError if there is none."""
+    """Follow the sheet at the seed point from column to column; VolumeError if there is none.
+
+    As :func:`search_sheet`. Or if it covers too few columns, or runs out of the volume in most.
+    """
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
     window_start = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
-    window = tuple(slice(a, k + 4) for a, k in zip(window_start, seed, strict=True))
+    window = tuple(map(slice, window_start, seed + 4))
     material_indices = np.argwhere(inside[window])
     if material_indices.size == 0:
         raise VolumeError(
@@ -267,7 +281,8 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
         )
     # The nearest block of material to the seed point.
     material_indices += window_start
-    nearest = np.argmin(np.sum((material_indices - seed) ** 2, axis=1))
+    squares = (material_indices - seed) ** 2
+    nearest = np.argmin(squares.sum(axis=1))
     row, col, depth = material_indices[nearest].tolist()
     run = inside[row, col]
     outside = np.flatnonzero(~run)
@@ -276,7 +291,8 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     # The seed's own run says roughly how thick the sheet is, the median of what was found then says
     # it well.
     seed_run = row, col, start, stop
-    low, high, _ = _follow(inside, seed_run, 2.0 * (stop - start + 1) + 2.0)
+    seed_length = stop - start + 1
+    low, high, _ = _follow(inside, seed_run, 2.0 * seed_length + 2.0)
     usual_run = float(np.median((high - low + 1)[low >= 0]))
     low, high, is_merged = _follow(inside, seed_run, MERGED * usual_run + 1.0)
     has_sheet = low >= 0
@@ -307,7 +323,11 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
 def _follow(
     inside: Bools, seed_run: tuple[int, int, int, int], max_run: float
 ) -> tuple[Labels, Labels, Bools]:
-    """First and last index of the sheet's runs, -1 for none, and where two sheets merge."""
+    """First and last index of the sheet's runs, -1 for none, and where two sheets merge.
+
+    ``seed_run``: row, column, first and last index of the run at the seed; longer ones than
+    ``max_run`` belong to two sheets.
+    """
     low = np.full(inside.shape[:2], -1, np.int64)
     high = low.copy()
     is_merged = np.zeros(low.shape, np.bool_)
@@ -334,7 +354,10 @@ def _extent_of(blocks: Blocks, in_object: Bools, threshold: float) -> TwoFields:
 
 
 def _extent(blocks: Blocks, low: Labels, high: Labels, threshold: float) -> TwoFields:
-    """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
+    """Move first and last index (-1: none) outwards to where the grey crosses the threshold.
+
+    NaN for none. The indices, (block rows, block cols), are those of the last samples inside.
+    """
     # A sheet that touches the end of its column is cut there: its face is not in the volume, and
     # that end is NaN.
     extents: list[Floats] = []

@@ -116,7 +116,8 @@ def _fit(
 
     tiles = columns.tiles(engine)
     if search_depths is not None:
-        tiles = [t for t in tiles if np.isfinite(search_depths[:, t.rows, t.cols]).any()]
+        is_searched = np.isfinite(search_depths)
+        tiles = [t for t in tiles if is_searched[:, t.rows, t.cols].any()]
     depths = np.full((_planes(priors), *columns.shape[:2]), np.nan)
     return join_tiles(engine.map(step, fit_tile, job, tiles), depths)
 
@@ -144,7 +145,7 @@ def _fit_below(
     depths_below = _fit("faces_below", columns, guide, priors, engine, search_depths)
     floating_count = 0
     for k, (plate_labels, _) in enumerate(plates):
-        is_better = np.isfinite(search_depths[k]) & np.isfinite(depths_below[2 * k])
+        is_better = np.isfinite(search_depths[k] + depths_below[2 * k])
         # A plate floats when there is a face below most of it.
         is_floating_plate = _is_mostly(is_better, plate_labels)
         floating_count += int(np.count_nonzero(is_floating_plate))

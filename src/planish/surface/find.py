@@ -126,7 +126,11 @@ def find_surfaces(
 def _search(
     volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int, engine: Engine
 ) -> xr.Dataset:
-    """Search for the surfaces, of grey or of labels, and correct them."""
+    """Search for the surfaces, of grey or of labels, and correct them.
+
+    First a look at the whole volume, then priors from some columns, then the fit of all columns;
+    what was seen on the way goes into the attributes.
+    """
     if params.labels is not None:
         if params.corrections is not None:
             raise InputError(
@@ -147,9 +151,10 @@ def _search(
     air_grey = priors.scale.air_grey
     find_by_method = find_faces if params.method == "profile" else find_faces_by_slice
     faces = find_by_method(columns, guide, priors, engine, survey.coarse.specks)
-    doubt = doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2])
-    levels = air_grey, priors.scale.polarity * priors.base_level + air_grey
-    surfaces = assemble(columns, params, faces, doubt, levels, engine)
+    depth = columns.shape[2]
+    doubt = doubtful(guide, survey.coarse, priors.edge.width, depth)
+    base_grey = priors.scale.polarity * priors.base_level + air_grey
+    surfaces = assemble(columns, params, faces, doubt, (air_grey, base_grey), engine)
     attrs = surfaces.attrs
     attrs |= priors.attrs(columns.pitch[2], frame)
     attrs["missing_share"] = survey.missing_share
@@ -157,7 +162,8 @@ def _search(
     if params.method == "profile":
         for from_high, errors_px in fit_errors(columns, guide, priors).items():
             side = frame.side_at(from_high=from_high)
-            attrs[f"fit_errors_{side}_um"] = (errors_px * columns.pitch[2]).ravel().tolist()
+            errors_um = errors_px * columns.pitch[2]
+            attrs[f"fit_errors_{side}_um"] = errors_um.ravel().tolist()
     if survey.padding is not None:
         attrs["padding"] = survey.padding
     attrs |= _attrs_of_companions(survey.coarse, columns, surfaces)
