@@ -251,7 +251,10 @@ def _visible(grey: Array) -> Bools:
 
 
 def wall_grey(scan: GreyScan) -> float | None:
-    """Grey that hardly any of the base passes; None where pores do not make much of its grey."""
+    """Grey that hardly any of the base passes; None where pores do not make much of its grey.
+
+    It stands for a wall without pores: that of which 5 % of the base are farther from the air.
+    """
     greys = scan.greys
     grey = scan.core_grey[_visible(scan.core_grey)]
     if not grey.size:
@@ -301,7 +304,10 @@ def porosity(rule: CheckRule, scan: GreyScan) -> Check | None:
 
 
 def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
-    """Judge whether what was learnt as a coating can be one; None where no side has a coating."""
+    """Judge whether what was learnt as a coating can be one; None where no side has a coating.
+
+    The value is the contrast to the base of the fainter coating over that of the other one.
+    """
     greys = scan.greys
     contrasts: dict[Side, float] = {}  # above zero where the coating is denser than the base
     for side in SIDES:
@@ -456,7 +462,9 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
 def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     """FWHM (um) of the Gaussian that makes white noise the air's: its autocorrelation's over √2.
 
-    NaN without air.
+    NaN without air, and where the noise is not correlated less at the largest lag than at none.
+    Blocks of air with more variance than twice the least one are left out. A voxel counts as a cube
+    of the same volume.
     """
     # Noise below half a step of the grey scale is that of rounding.
     least_variance = 0.0 if volume.dtype.kind == "f" else 0.5**2
@@ -501,9 +509,7 @@ def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
     """
     frame = Frame.of(measured)
     axes = (frame.rows, frame.cols, frame.through)
-    rows_um, cols_um, heights = (
-        np.asarray(volume.coords[axis].values, dtype=np.float64) for axis in axes
-    )
+    rows_um, cols_um, heights = (volume.coords[axis].values.astype(np.float64) for axis in axes)
     faces = np.stack([measured[side].values for side in SIDES]).astype(np.float64)
     if min(rows_um.size, cols_um.size) < _EDGE:
         return
@@ -543,7 +549,7 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
     They are where one end of its scale holds several times as many pixels as the next 64th of the
     scale does.
     """
-    grey = np.asarray(image.greys, dtype=np.float64)
+    grey = image.greys.astype(np.float64)
     grey = grey[np.isfinite(grey)]
     clipped_share = 0.0
     tone = "dark"

@@ -10,7 +10,11 @@ LIGHTEST = 1.2  # no paper reflects more than a white sheet of 85 % by so much
 
 
 def white_image(rule: CheckRule, file: ImageFile) -> Check | None:
-    """Judge whether white and dark image fit the image and left enough of it."""
+    """Judge whether white and dark image fit the image and left enough of it.
+
+    None where the image was not divided by a white one. Shares are of the image's pixels, the
+    median is that of the image over the white sheet, in light as the exposures state it.
+    """
     light = file.light
     if light is None:
         return None
@@ -44,7 +48,11 @@ def white_image(rule: CheckRule, file: ImageFile) -> Check | None:
 
 
 def linear_grey(rule: CheckRule, file: ImageFile) -> Check | None:
-    """Judge whether grey that is taken as linear is coded with a curve, by what the file says."""
+    """Judge whether grey that is taken as linear is coded with a curve, by what the file says.
+
+    ``gamma`` is the curve that the user gave, None without; ``curve`` says in words what the file
+    states of its own, and ``is_linear`` that it states a straight one.
+    """
     attrs = file.image.attrs
     curve = attrs.get("curve")
     gamma = attrs.get("gamma")

@@ -23,7 +23,11 @@ _BY_CHANCE = 0.001
 
 
 def even_light(rule: CheckRule, evidence: EvidenceFacts) -> Check | None:
-    """Judge whether a smooth field in an image moves r, and is more than the image's texture."""
+    """Judge whether a smooth field in an image moves r, and is more than the image's texture.
+
+    ``field.r`` is r without that field, ``field.r_plain`` with it; they may differ by a share of
+    the width of the interval. None where no field was fitted.
+    """
     field = evidence.light_field
     if field is None:
         return None

@@ -64,7 +64,11 @@ class TextureChecks:
 
 
 def marks(rule: CheckRule, registered: JudgedRegistration) -> Check:
-    """Judge the leave-one-out error of the marks, and whether omitted marks lie far off."""
+    """Judge the leave-one-out error of the marks, and whether omitted marks lie far off.
+
+    That error is None where each mark is needed for the fit; then nothing can be said. Omitted are
+    marks of a weight below 1.
+    """
     # Marks that were found well agree within that.
     limit_um = max(0.1 * registered.hole_um, registered.pixel_um)
     loo_um = registered.facts.leave_one_out_rms_um
@@ -125,7 +129,8 @@ def strain(rule: CheckRule, registered: JudgedRegistration) -> Check:
 def tilt(rule: CheckRule, registered: JudgedRegistration) -> Check | None:
     """Judge whether all holes run along the normal of the sheet.
 
-    None where too few were found on both sides.
+    None where fewer than 4 were found on both sides. Tilt, offset between the faces, and its error
+    are vectors (u, v); their lengths are compared.
     """
     hole_tilt = registered.facts.tilt
     if hole_tilt is None or hole_tilt.tilt_deg is None or hole_tilt.offset_count < 4:

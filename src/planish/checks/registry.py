@@ -194,7 +194,8 @@ def check_holes(holes: xr.Dataset) -> Check:
 def apply_checks(results: Results) -> Results:
     """Mark every figure by the checks that concern it.
 
-    What a failed check concerns loses its numbers.
+    What a failed check concerns loses its numbers: rows stay without them, and evidence beside such
+    a row goes.
     """
     checks = results.checks
     if all(check.state in ("pass", "unknown") for check in checks):

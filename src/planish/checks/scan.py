@@ -67,7 +67,7 @@ def read_scan(
         assembled_axes = ("z", "y", "x")
     elif sections:
         assembled_axes = ("z",)
-    heights = np.asarray(volume.coords[through].values, dtype=np.float64)
+    heights = volume.coords[through].values.astype(np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
     ends = np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)])
     first, last = np.minimum(ends, heights.size - 1).tolist()
@@ -132,12 +132,12 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     margin = float(np.clip(blur_share, 0.2, 0.45))  # share of the base left out at either end
     n_voxels = np.ceil((1 - 2 * margin) * thickness / step_um)
     depths = int(np.clip(n_voxels, 9, 48))
-    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
+    heights = volume.coords[frame.through].values.astype(np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
     dtype = np.int16 if max(volume.shape) < 2**15 else np.int32
     points = np.empty((*r.shape, depths, 3), dtype)
     for dim, axis, columns in (("y", frame.rows, r), ("x", frame.cols, c)):
-        axis_um = np.asarray(volume.coords[axis].values, dtype=np.float64)
+        axis_um = volume.coords[axis].values.astype(np.float64)
         axis_step = axis_um[1] - axis_um[0] if axis_um.size > 1 else 1.0
         places = (measured[dim].values - axis_um[0]) / axis_step
         voxel_indices = np.rint(places).astype(np.int32)

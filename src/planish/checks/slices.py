@@ -175,7 +175,10 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
 
 
 def _sentence(listed_faults: list[Fault], fault_count: int, axis: Axis) -> str:
-    """Name the first four of the faults, and count the others."""
+    """Name the first four of the faults, and count the others.
+
+    ``fault_count`` counts those too that are not listed.
+    """
     sentences = [_fault_sentence(f, axis) for f in listed_faults[:4]]
     n_listed = len(listed_faults)
     if n_listed > 4:

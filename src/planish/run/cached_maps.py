@@ -121,9 +121,10 @@ def _has_same_surface(layer: GivenLayer, old_layer: GivenLayer) -> bool:
 def next_step(
     error: PlanishError, caches: Mapping[str, CachedMaps], study: Study, out: Path
 ) -> str:
-    """Say where maps are kept of a link that was refused.
+    """Say where maps are kept of a link that was refused with an error, and how to go on.
 
-    Where none are, how to get them without the image.
+    Where none are, how to get them without the image; empty where that does not help. Layers that
+    were arrays have no file to name.
     """
     inputs = inputs_folder(out.absolute())
     # The files of arrays are removed when this is read.

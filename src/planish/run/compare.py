@@ -113,7 +113,11 @@ def _side_of(a: LinkedLayer, b: LinkedLayer) -> Side:
 
 
 def _facts_of_layers(study: Study, overlay: Overlay, textures: Textures) -> FactsOfLayers:
-    """What each layer is; of those placed by texture, with r that their place was not tuned on."""
+    """What each layer is; of those placed by texture, with r that their place was not tuned on.
+
+    ``textures`` are of pairs of layers by name; how far a layer lies beside the reference (its lag)
+    comes from there, None where the two were not compared.
+    """
     reference = overlay.reference
     facts = dict[str, LayerFacts]()
     headline = study.correlate.headline
@@ -180,9 +184,10 @@ def _bound(is_in: Bools) -> slice:
 
 
 def _evidence(study: Study, overlay: Overlay, facts: FactsOfLayers) -> tuple[EvidenceFacts, ...]:
-    """What stands beside the correlation of each layer with the reference.
+    """What stands beside the correlation of each layer with the reference, by the maps that lead.
 
-    Not where they share too little.
+    Not where they share too little. Columns of the sheets, where their noise is known, and the
+    machine direction on the reference go with it.
     """
     *moving, reference = facts
     sheets = [linked for linked in overlay.layers if linked.kind == "sheet"]
@@ -219,7 +224,10 @@ def _columns_of(linked: LinkedLayer) -> SheetColumns:
 
 
 def _machine_direction(overlay: Overlay, facts: FactsOfLayers) -> float | None:
-    """Machine direction on the reference: as it was given there, or as marks carry it over."""
+    """Machine direction on the reference: as it was given there, or as marks carry it over.
+
+    Degrees clockwise on screen from x; None where no layer has one.
+    """
     reference = overlay.reference.layer
     if reference.md_deg is not None:
         return reference.md_deg

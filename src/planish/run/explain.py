@@ -108,7 +108,11 @@ def residual_map(explained: Explained, like: xr.DataArray) -> xr.DataArray:
 
 
 def _model_maps(params: ExplainParams, maps: NamedMaps, errors: Mapping[str, float]) -> ModelMaps:
-    """The maps of a model, the masks of all groups that they are of, and regions as factors."""
+    """The maps of a model, the masks of all groups that they are of, and regions as factors.
+
+    ``errors`` are standard errors over cells, by the names of maps. The sheet is the group of the
+    first map that explains.
+    """
     response = named(maps, params.response)
     response_values = response.values
     grid = Grid.of(response_values)

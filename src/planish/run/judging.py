@@ -147,7 +147,10 @@ def _results(
 
 
 def _checks_of_link(overlay: Overlay, comparison: Comparison, holes: HoleSearch) -> Iterator[Check]:
-    """Checks of each layer and its registration, of what two layers share, and of all together."""
+    """Checks of each layer and its registration, of what two layers share, and of all together.
+
+    They come in the order of the results; ``holes`` gives those that were searched.
+    """
     for linked, facts in zip(overlay.layers, comparison.layers, strict=True):
         yield from _checks_of_map(overlay, linked, comparison.layers)
         if linked.link is not None:
@@ -181,7 +184,10 @@ def _checks_of_map(
 
 
 def _with_fit(check: Check, linked: LinkedLayer, layers: Sequence[LayerFacts]) -> Check:
-    """A check; that of a mirror image passes where the layer fits on another one mirrored."""
+    """A check; that of a mirror image passes where the layer fits on another one mirrored.
+
+    ``layers`` are all layers, whose registrations say whether they fit so.
+    """
     if not linked.layer.hand_text or not check.name.startswith("hand of"):
         return check
     for facts in layers:
@@ -214,7 +220,10 @@ def _size_checks(layers: Sequence[LayerFacts]) -> Iterator[Check]:
 
 
 def _scale_checks(overlay: Overlay, linked: LinkedLayer) -> Iterator[Check]:
-    """Whether a sheet has the size that the marks say; by the first of its registrations."""
+    """Whether a sheet has the size that the marks say; by the first of its registrations.
+
+    That is its own to the next layer, or for the reference the first one that leads to it.
+    """
     if linked.kind != "sheet":
         return
     groups = linked.layer.groups
@@ -274,7 +283,10 @@ def _hole_checks(linked: LinkedLayer, reference: LinkedLayer) -> Iterator[Check]
 
 
 def _image_checks(overlay: Overlay) -> Iterator[Check]:
-    """Whether the greys of each image are cut off where all layers are valid."""
+    """Whether the greys of each image are cut off where all layers are valid.
+
+    Of large images a part of the rows is looked at.
+    """
     valid_maps = [maps["valid"] for maps in overlay.maps.values()]
     for linked in overlay.layers:
         if linked.kind == "image":

@@ -144,7 +144,8 @@ def _shift_sentence(marks: xr.Dataset, name: str) -> str | None:
 def volume_to_map(marks: xr.Dataset, name: str, groups: Groups) -> xr.Dataset:
     """Marks on the flat map of a layer, those too that were set in its volume.
 
-    Without ``groups`` it is an image.
+    Places (x, y, z) of the volume become places (u, v) of the map by the column of the sheet that
+    they lie in, wherever in its thickness; other marks stay. Without ``groups`` it is an image.
     """
     if "volume_x" not in marks:
         return marks

@@ -79,7 +79,7 @@ class PositionErrors:
         self._lattice = Lattice(grid)
         places = self._lattice.places
         uv = chain.inverse(places)
-        marks_um = np.asarray(chain.expected_error_um(uv), dtype=np.float64)
+        marks_um = chain.expected_error_um(uv).astype(np.float64)
         self._shares = {"marks": marks_um}  # um, (rows, cols) of the lattice
         if sheet is not None:
             self._shares |= _moved(sheet, chain, uv)

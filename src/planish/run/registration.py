@@ -195,7 +195,7 @@ def register_holes(
 
 
 def with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
-    """The marks with what the fit leaves of each."""
+    """The marks with what the fit leaves of each, in um; NaN for those that it does not use."""
     is_paired = paired(marks)
     lengths_um = np.hypot(*fit.residuals_um.T)
     left_um = {"residual": lengths_um, "leave_one_out": fit.leave_one_out_um}

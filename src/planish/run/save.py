@@ -102,9 +102,10 @@ def _is_of_a_run(path: str | None) -> bool:
 
 
 def _with_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:
-    """Name the run's own files of corrections in its study.
+    """Name the run's own files of corrections in its study, and write that of its own sheet.
 
-    Those of ``run.sheets`` stand in their folders by now.
+    Those of ``run.sheets`` stand in their folders by now. ``folder`` is where the run is written,
+    ``home`` where it will stand. A layer without corrections names none.
     """
     files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
     if "surfaces" in run.groups:

@@ -186,7 +186,10 @@ def _judged(
 
 
 def _remapped(old_sheet: MappedLayer, sheet: MappedLayer) -> MappedLayer:
-    """A sheet that was only flattened anew, with what a similar one knows of its volume."""
+    """A sheet that was only flattened anew, with what a similar one knows of its volume.
+
+    Checks of the volume are kept; groups that did not change stay in the store of the old run.
+    """
     assert old_sheet.facts is not None
     assert sheet.facts is not None
     # A store has no order.

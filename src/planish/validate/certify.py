@@ -402,7 +402,10 @@ def _rms_figures(
     label: str,
     nuisances: str | Texts,
 ) -> tuple[Values, str | None]:
-    """Return the rms of each figure over the seeds, and the first refusal."""
+    """Return the rms of each figure over the seeds, and the first refusal.
+
+    ``label`` says in the progress which ``nuisances`` are on. None where no seed has the figure.
+    """
     entries: list[Entry] = []
     for seed in seeds:
         progress("sensitivity", f"{label}, seed {seed}")

@@ -48,7 +48,7 @@ def section_errors(comparison: Comparison) -> Values:
     sections = comparison.groups.get("sections")
     surfaces = comparison.surfaces
     frame = Frame.of(surfaces)
-    sections_um = np.asarray(surfaces["y"].values, dtype=np.float64)
+    sections_um = surfaces["y"].values.astype(np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.
     if sections is None or frame.through == "z" or sections_um.size < 4:
         return {}
@@ -126,7 +126,7 @@ def centre_errors(comparison: Comparison) -> Values:
             index = list(comparison.columns)
             index[axis] = np.clip(index[axis] + offset, 0, last)
             rows, cols = index
-            heights = np.asarray(centre[np.ix_(rows, cols)], dtype=np.float64)
+            heights = centre[np.ix_(rows, cols)].astype(np.float64)
             places = comparison.places(heights, rows, cols)
             end_points.append(comparison.physical_at(places))
         before, behind = end_points
@@ -425,7 +425,7 @@ def resampling_errors(comparison: Comparison) -> Values:
     max_rows = min(height, max(2, 1_500_000 // width))
     rows = np.arange(max_rows) + (height - max_rows) // 2
     cols = np.arange(width)
-    centre = np.asarray(surfaces["centre"].values[rows], dtype=np.float64)
+    centre = surfaces["centre"].values[rows].astype(np.float64)
     u, v, _ = np.moveaxis(comparison.material_over(centre, rows, cols), -1, 0)
     transform = comparison.fit.transform
     uv = np.stack([flat[axis].values[rows] for axis in "uv"], axis=-1)
@@ -444,7 +444,7 @@ def statistic_errors(comparison: Comparison) -> Values:
 
     Both are taken over the same pixels and the run's points. None where an r is not known.
     """
-    image = np.asarray(comparison.linked["image"].values, dtype=np.float64)
+    image = comparison.linked["image"].values.astype(np.float64)
     pixel = pitch(comparison.linked)
     measured_map = comparison.linked_values(comparison.headline)
     true_map = comparison.pixel_thickness(comparison.headline, *comparison.true_uv)

@@ -290,7 +290,7 @@ class SpecimenTemplate:
         if (linked := self.run.groups.get("linked")) is not None:
             image = np.asarray(linked["image"].values)
             holes = find_holes(image, pixel_um=pitch(linked), diameter_um=hole_um)
-            diameters_um = np.asarray(holes["diameter"].values, dtype=np.float64)
+            diameters_um = holes["diameter"].values.astype(np.float64)
         if diameters_um.size > 1:
             median_um = float(np.median(diameters_um))
             sd_um = float(diameters_um.std(ddof=1))
