@@ -209,7 +209,8 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     is_node = np.isfinite(heights)
     # Places (y, x) that have a node are counted row by row: its number among the points.
     node_index = np.cumsum(is_node).reshape(is_node.shape) - 1
-    # Slices (rows, cols) that give one corner of every cell, in the order around the cell.
+    # Slices (rows, cols) that give one corner of every cell: CORNERS has them row by row, here they
+    # go around the cell.
     corners = [CORNERS[k] for k in (0, 1, 3, 2)]
     is_cell = np.all([is_node[corner] for corner in corners], axis=0)
     if not is_cell.any():

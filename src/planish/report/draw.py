@@ -328,7 +328,7 @@ class Axes:
             return
         x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        masked = np.ma.masked_invalid(values)
+        masked = np.ma.masked_invalid(values)  # lines end where the map is missing
         generator = contour_generator(x_um, y_um, masked, line_type=LineType.Separate)
         label_pixels = self.place(avoided)
         line_width = 0.8
@@ -338,6 +338,7 @@ class Axes:
             opacity = 0.9
         is_crossed = (levels > masked.min()) & (levels < masked.max())
         for level in levels[is_crossed]:
+            # Each line is an array (n, 2) of places (x, y) in um.
             lines: Any = generator.lines(level)
             path = "".join(map(_path, map(self.place, lines)))
             self._stroke(path, "white", line_width, opacity=opacity)
@@ -351,7 +352,7 @@ class Axes:
                 self.text(x, y, f"{level:g}", shift=(0, 4), **style)
 
     def _emptiest(self, pixels: Array, label_pixels: Array) -> int:
-        """Which of some places is farthest from the border and from labels."""
+        """Number of the place (n, 2) in pixels that is farthest from the border and from labels."""
         size_px = (self.width, self.height)
         border_px = np.min([pixels, size_px - pixels], axis=(0, 2))
         labels_px = [np.hypot(*(pixels - label).T) for label in label_pixels]

@@ -174,7 +174,7 @@ def draw_progress(strain: xr.Dataset) -> Picture:
     low = least - margin
     high = most + margin
     canvas = Canvas(HALF, 290)
-    extent = (0.5, max(nodes.size, 1) + 0.5, low, high)
+    extent = (0.5, max(nodes.size, 1) + 0.5, low, high)  # steps, and logarithms of um
     axes = canvas.axes(78, 15, HALF - 95, 215, extent)
     for node_count in node_counts:
         mesh_steps = np.flatnonzero((nodes == node_count) & is_moved)
@@ -182,7 +182,7 @@ def draw_progress(strain: xr.Dataset) -> Picture:
         mesh_steps = mesh_steps[::stride]
         colour = ACCENT if node_count == node_counts[-1] else SOFT
         axes.line(mesh_steps + 1.0, log_moves[mesh_steps], colour=colour, width=1.6)
-        if nodes.size <= 200:
+        if nodes.size <= 200:  # of more steps, dots would hide the line
             axes.dots(mesh_steps + 1.0, log_moves[mesh_steps], colour=colour, size=5)
     for level in multiples(low, high, 1.0):
         axes.across(level, colour=FAINT, width=0.5)

@@ -113,6 +113,7 @@ def blank_ground(points: Array, *, layer: str) -> Ground:
     points = points[np.isfinite(points).all(axis=1)]
     if not points.size:
         points = np.array([[0.0, 0.0], [1.0, 1.0]])
+    # A fifth of the longer side around the points; one point has a side of 1 um.
     low = points.min(axis=0)
     high = points.max(axis=0)
     margin = 0.2 * max(float((high - low).max()), 1.0)
@@ -295,7 +296,8 @@ def draw_expected_error(
     most = float(finite_errors.max())
     scale = limits(finite_errors, GEOMETRY, percent=0.1)
     levels, step = levels_between(least, most, steps=5)
-    if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
+    # Differences of 2 % of the mean are of no use: one colour for all of them.
+    if not most - least > 0.02 * abs(mean):
         scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY)
         levels = np.empty(0)
     canvas, axes = draw_map(error, scale=scale, label="expected error / µm", width=width)

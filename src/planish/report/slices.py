@@ -68,9 +68,10 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     """
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
-    stride = max(1, cuts[0].grey.size // 200_000)
+    stride = max(1, cuts[0].grey.size // 200_000)  # of each slice as many values do for limits
     greys = [cut.grey.ravel()[::stride] for cut in cuts]
     scale = limits(np.concatenate(greys), GREYS, percent=0.3)
+    # In um above and below the sheet; the details come closer to it.
     margin = 0.8 * abs(thickness)
     spans = [_overview_window(cut, margin) for cut in cuts]
     windows = _detail_windows(cuts, spans, 0.35 * margin)

@@ -127,6 +127,7 @@ def _labels(row: Mapping[str, str], has_several_sheets: bool) -> Entries:
         return {"layer": layer}
     if not row["map"]:
         return {"registration": f"{layer}/{row['other_layer']}"}
+    # ``layer`` and ``map`` say the first map, ``other_layer`` and ``other_map`` the second one.
     first_map, second_map = (
         f"{row[side + 'layer']}.{row[side + 'map']}"
         if has_several_sheets and row[f"{side}layer"]
@@ -180,6 +181,7 @@ def _arrays(
     labels = {"specimen": list(names)}  # along each dim, in the order of the array
     labels |= {dim: axis.tolist() for dim, axis in coords.items()}
     shape = tuple(map(len, labels.values()))
+    # The figure, the ends of its interval, and its trust by the numbers of _TRUST.
     value, low, high = (np.full(shape, np.nan) for _ in range(3))
     trust = np.full(shape, -1, dtype=np.int8)
     for row, figure in zip(rows, figures, strict=True):

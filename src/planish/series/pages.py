@@ -136,8 +136,8 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
     if not results.quantities:
         return small_maps
     quantity = results.quantities[0]
-    # The maps of more than 250 specimens have fewer pixels: the page has to stay below 10 MB.
-    # Along the longer side.
+    # Pixels along the longer side. The maps of more than 250 specimens have fewer of them: the page
+    # has to stay below 10 MB.
     pixels = 150.0 * min(1.0, math.sqrt(250 / max(len(results.specimens), 1)))
     for specimen in results.specimens:
         folder = specimen.member.folder(home)
