@@ -535,10 +535,12 @@ def warp(sheet: Sheet) -> Floats:
     row_um, col_um = sheet.frame.pitch_um
     y = np.arange(rows) * row_um
     x = np.arange(cols) * col_um
-    yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
+    middle_y = y - y.mean()
+    middle_x = x - x.mean()
+    yy, xx = np.meshgrid(middle_y, middle_x, indexing="ij")
     is_finite = np.isfinite(height) & sheet.valid
     terms = np.stack([np.ones_like(yy), yy, xx], axis=-1)
-    plane, *_ = np.linalg.lstsq(terms[is_finite], height[is_finite], rcond=None)
+    plane = np.linalg.lstsq(terms[is_finite], height[is_finite])[0]
     offset, by_y, by_x = plane
     return height - (offset + by_y * yy + by_x * xx)
 
@@ -607,6 +609,7 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     r = (right - 2 * centre + left) / dx**2
     above = c[:-2]
     below = c[2:]
-    s = (below[:, 2:] - below[:, :-2] - above[:, 2:] + above[:, :-2]) / (4 * dx * dy)
+    mixed = below[:, 2:] - below[:, :-2] - above[:, 2:] + above[:, :-2]
+    s = mixed / (4 * dx * dy)
     t = (down - 2 * centre + up) / dy**2
     return [np.pad(derivative, 1, constant_values=np.nan) for derivative in (p, q, r, s, t)]

@@ -498,16 +498,16 @@ def _variables(prop: Property, answer: Measured, frame: RayFrame) -> dict[str, x
     # One value speaks for a ray at least, and for what the blur mixes into it.
     ray_width_um = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
     support_um = max(length_of(prop.support_um, frame.params), ray_width_um)
-    values = np.where(status == 0, answer.values, np.nan).astype(np.float32)
-    se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
+    measured = np.where(status == 0, answer.values, np.nan)
+    values = measured.astype(np.float32)
+    measured_se = np.where(np.isfinite(values), answer.se, np.nan)
+    se = measured_se.astype(np.float32)
     attrs = {"units": prop.units, "long_name": title, "support_um": round(support_um, 3)}
     attrs |= prop.attrs
     attrs |= frame.params.model_dump(include={*prop.stated}, exclude_none=True)
     se_attrs = {"units": prop.units, "long_name": _se_name(title)}
-    variables = {
-        prop.name: xr.Variable(dims, values, attrs),
-        f"{prop.name}_se": xr.Variable(dims, se, se_attrs),
-    }
+    variables = {prop.name: xr.Variable(dims, values, attrs)}
+    variables[f"{prop.name}_se"] = xr.Variable(dims, se, se_attrs)
     if prop.reasons:
         has_reason = (status == 0) & (answer.reason > 0)
         own_codes = answer.reason + np.uint8(FIRST_OWN - 1)

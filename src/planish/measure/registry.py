@@ -126,7 +126,8 @@ def shared_parts(a: str, b: str, maps: xr.Dataset) -> Texts:
 
     Each contains itself.
     """
-    common = dict.fromkeys(name for name in _contents(a) if name in _contents(b) and name in maps)
+    of_b = {*_contents(b)}
+    common = dict.fromkeys(name for name in _contents(a) if name in of_b and name in maps)
     from planish.core.bands import thinned  # here, so that help waits for no xarray
 
     shared = [name for name in common if np.isfinite(thinned(maps[name])[1][0]).any()]
@@ -183,16 +184,16 @@ class Sheet:
 
     def mean(self, values: Floats) -> float:
         """Mean over the valid rays."""
-        return float(np.mean(values[self.valid & np.isfinite(values)], dtype=np.float64))
+        is_measured = self.valid & np.isfinite(values)
+        return float(np.mean(values[is_measured], dtype=np.float64))
 
 
 def cached(function: Callable[Concatenate[Rays, P], T]) -> Callable[Concatenate[Rays, P], T]:
     """Work out once for the same rays what several properties share."""
 
     def cached_function(rays: Rays, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return rays.cached(
-            repr((function.__name__, args, kwargs)), lambda: function(rays, *args, **kwargs)
-        )
+        key = repr((function.__name__, args, kwargs))
+        return rays.cached(key, lambda: function(rays, *args, **kwargs))
 
     return cached_function
 
@@ -433,7 +434,8 @@ def in_order(names: Sequence[str | Property], params: Common, greys: Greys) -> l
         if prop.name in ancestors:
             path_text = " > ".join((*ancestors, prop.name))
             raise CannotMeasure(f"The property '{prop.name}' is made from itself: {path_text}.")
-        for needed_name in prop.after(params, greys) if callable(prop.after) else prop.after:
+        needed_names = prop.after(params, greys) if callable(prop.after) else prop.after
+        for needed_name in needed_names:
             visit(find_property(needed_name), (*ancestors, prop.name))
         ordered.setdefault(prop.name, prop)
 

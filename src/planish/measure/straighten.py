@@ -66,7 +66,8 @@ def straightened(
             " image."
         )
     frame = RayFrame.of(volume, surfaces, params)
-    low, high = depth_um or (frame.low * frame.step_um, frame.high * frame.step_um)
+    rays_um = (frame.low * frame.step_um, frame.high * frame.step_um)
+    low, high = depth_um or rays_um
     # Beyond that the normals have long left the sheet, and cross each other.
     max_depth_um = 20.0 * float(surfaces.attrs["thickness_um"])
     if not low < high or max(abs(low), abs(high)) > max_depth_um:
@@ -102,8 +103,10 @@ def voxels_around(
         n = coords_um.size
         voxel_um = float(coords_um[1] - coords_um[0])
         position_px = (places_um[axis] - float(coords_um[0])) / voxel_um
-        start_px = int(np.clip(np.floor(position_px.min()), 0, n - 1))
-        stop_px = int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, n))
+        lowest_px = np.floor(position_px.min())
+        highest_px = np.ceil(position_px.max())
+        start_px = int(np.clip(lowest_px, 0, n - 1))
+        stop_px = int(np.clip(highest_px + 1, start_px + 1, n))
         box[axis] = slice(start_px, stop_px)
         indices.append(position_px - start_px)
     return volume.isel(box).values, indices
@@ -130,8 +133,9 @@ class _Straightened(LazyArray):
         self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
         self._frame = frame.frame
         self._pitch = frame.pitch_um
-        self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
-        self._slopes = np.ascontiguousarray(np.moveaxis(frame.slopes(), -1, 0))
+        self._first = tuple(float(surfaces[axis].values[0]) for axis in ("y", "x"))
+        slopes_first = np.moveaxis(frame.slopes(), -1, 0)
+        self._slopes = np.ascontiguousarray(slopes_first)
         self._padding = frame.greys.padding
         self.shape = (depths_um.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
@@ -175,8 +179,10 @@ class _Straightened(LazyArray):
         # Of the centre surface at the place of each pixel.
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
         normal_r, normal_c, normal_h = np.moveaxis(directions(slope, "normal"), -1, 0)
+        # Heights grow towards the top, coordinates along the axis through the sheet.
         normal = {frame.rows: normal_r, frame.cols: normal_c, frame.through: frame.sign * normal_h}
-        is_inside = np.isfinite([*place_um.values(), *normal.values()]).all(axis=0)
+        parts = [*place_um.values(), *normal.values()]
+        is_inside = np.isfinite(parts).all(axis=0)
         if not is_inside.any():
             return
         points_um: NamedFields = {}  # (depths, pixels), by axis of the volume

@@ -122,14 +122,15 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> ThreeFields:
     is_inside = (s_um >= first_um[..., None]) & (s_um < end_um[..., None])
     is_inside &= rays.greys.polarity * (rays.grey[..., samples] - level) > 0
     factors = ((by_col, by_col), (by_row, by_row), (by_row, by_col))
-    sums = [np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64) for a, b in factors]
+    over_ray = partial(np.einsum, "ijk,ijk,ijk->ij", dtype=np.float64)
+    sums = [over_ray(a, b, is_inside) for a, b in factors]
     xx, yy, xy = _in_tangent_plane(sums, rays.slope)
     is_valid = (rays.status == 0) & np.isfinite(xx)
     sigma = np.divide(rays.params.of(Options).orientation_rho_um, rays.pitch_um)
-    parts = [np.where(is_valid, v, 0.0) for v in (xx + yy, xx - yy, 2 * xy)]
-    trace, cosine, sine = (
-        ndimage.gaussian_filter(part, sigma, mode="constant", truncate=_CUT) for part in parts
-    )
+    gather = partial(ndimage.gaussian_filter, sigma=sigma, mode="constant", truncate=_CUT)
+    trace = gather(np.where(is_valid, xx + yy, 0.0))
+    cosine = gather(np.where(is_valid, xx - yy, 0.0))
+    sine = gather(np.where(is_valid, 2 * xy, 0.0))
     return trace, cosine, sine
 
 
@@ -247,8 +248,9 @@ def _voids(rays: Rays) -> tuple[Codes, Floats]:
     # Beyond what any base reaches there is no void; one sample more on either side is the wall
     # there.
     samples = rays.samples_within(*rays.core, more=1)
-    level = np.float32(void_level(rays.greys, rays.params.of(phases.Options)))
-    above_void_level = rays.greys.polarity * (rays.grey[..., samples] - level)
+    level = void_level(rays.greys, rays.params.of(phases.Options))
+    rise = rays.grey[..., samples] - np.float32(level)
+    above_void_level = rays.greys.polarity * rise
     is_void = (above_void_level < 0) & rays.between(*rays.core)[..., samples]
     count = is_void.sum(axis=-1, dtype=np.float64)
     return is_void.astype(np.uint8), np.where(count > 0, count, np.nan)
@@ -308,7 +310,8 @@ def distances(void: Codes, step: tuple[float, float, float], most: float) -> Sin
 
     if void.all():
         return np.full(void.shape, most, np.float32)
-    return np.minimum(ndimage.distance_transform_edt(void, sampling=step), most).astype(np.float32)
+    distance = ndimage.distance_transform_edt(void, sampling=step)
+    return np.minimum(distance, most).astype(np.float32)
 
 
 @ray_property(

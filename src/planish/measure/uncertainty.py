@@ -43,7 +43,8 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     """
     white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
-    spread_indices = np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int)
+    row_count = min(6, rows.size)
+    spread_indices = np.linspace(0, rows.size - 1, row_count).astype(int)
     # Air begins where the blur of a face has ended.
     margin_um = 3 * frame.greys.blur_um + frame.voxel_um
     length_um = 3.0 * frame.voxel_um
@@ -218,11 +219,13 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
         nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
         levels = greys.coating(side) - greys.air, base_contrast
         noises_um = noise_um, greys.texture_um
-        se_table = np.array([_layer_errors_at(t, blur_um, *levels, *noises_um) for t in nodes_um])
+        se_rows = [_layer_errors_at(t, blur_um, *levels, *noises_um) for t in nodes_um]
+        se_table = np.array(se_rows)
         # Thinner layers have the error of the first whose thickness is no less than its own.
         first_node = int(np.argmax(se_table[:, 1] <= nodes_um))
         errors_um = se_table[np.maximum(np.arange(_NODES), first_node)].T
-    errors = np.stack([np.interp(thickness, nodes_um, node_errors) for node_errors in errors_um])
+    interpolated = [np.interp(thickness, nodes_um, node_errors) for node_errors in errors_um]
+    errors = np.stack(interpolated)
     return np.where(np.isfinite(thickness), errors, np.nan)
 
 

@@ -65,7 +65,8 @@ class Columns:
         return rows_um, self._middles_um(self.frame.cols, cols)
 
     def _middles_um(self, axis: Axis, count: int) -> Floats:
-        voxels_um = self.volume.coords[axis].values[: count * self.step].astype(float)
+        all_um = self.volume.coords[axis].values.astype(float)
+        voxels_um = all_um[: count * self.step]
         return voxels_um.reshape(count, self.step).mean(axis=1)
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> Array:
@@ -183,22 +184,17 @@ def make_guide(coarse_sheet: CoarseSheet, columns: Columns) -> Guide:
     slopes = np.gradient(smoothed_um, *pitch[:2])
     cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     rise_r, rise_c = rises_px(slopes, pitch[:2], columns)
-    return Guide(
-        low=low,
-        high=high,
-        slope_r=_where_known(rise_r, 0.0),
-        slope_c=_where_known(rise_c, 0.0),
-        cos_tilt=_where_known(cosine, 1.0),
-    )
+    slope_r = np.nan_to_num(rise_r)
+    slope_c = np.nan_to_num(rise_c)
+    cos_tilt = np.nan_to_num(cosine, nan=1.0)
+    return Guide(low, high, slope_r, slope_c, cos_tilt)
 
 
 def rises_px(slopes: Iterable[Floats], pitch_um: Pair, columns: Columns) -> list[Floats]:
     """Rise of a sheet, in voxels, from one voxel row and from one voxel column to the next."""
-    return [s * p / columns.step / columns.pitch[2] for s, p in zip(slopes, pitch_um, strict=True)]
-
-
-def _where_known(field: Floats, otherwise: float) -> Floats:
-    return np.where(np.isfinite(field), field, otherwise)
+    step = columns.step
+    voxel_um = columns.pitch[2]
+    return [s * p / step / voxel_um for s, p in zip(slopes, pitch_um, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -560,7 +560,8 @@ class _Learner(Sampler):
         if not total_weight.all():
             return False
         *near_face, beyond_fringe = weighted_sum / total_weight
-        detection_limit = -np.maximum(_LEAST, _SIGMAS / np.sqrt(total_weight[:-1]))
+        near_error = 1.0 / np.sqrt(total_weight[:-1])
+        detection_limit = -np.maximum(_LEAST, _SIGMAS * near_error)
         # No more than this share of the undershoot may be there in between.
         is_over = beyond_fringe > 0.4 * np.array(near_face)
         return bool(((near_face < detection_limit) & is_over).any())

@@ -207,8 +207,9 @@ def _read_tile(job: tuple[Columns, int, Shape2D, float], tile: Tile) -> Array:
     counts = zip(block_counts, voxels.shape, strict=False)
     block_widths = [np.diff([*(block_px * np.arange(k)), n]) for k, n in counts]
     # Columns of the sample lie at multiples of the stride in the whole grid.
+    step = columns.step
     starts = zip(tile[::2], stride, strict=True)
-    sampled = tuple(slice((-k % n) * columns.step, None, n * columns.step) for k, n in starts)
+    sampled = tuple(slice((-k % n) * step, None, n * step) for k, n in starts)
     voxels_of_block = np.multiply.outer(*block_widths)[..., None]
     means = sums.transpose(*column_order) / voxels_of_block
     fields = {"means": means.astype(np.float32)}
