@@ -141,8 +141,8 @@ MUTANTS = [
     ),
     Mutant(
         "surface/assemble.py",
-        "np.where(in_sheet & ~in_rim, 0.5 *",
-        "np.where(in_sheet, 0.5 *",
+        "np.where(in_sheet & ~in_rim, middle",
+        "np.where(in_sheet, middle",
         "surface/test_find.py surface/test_centre.py surface/test_presence.py",
     ),
     Mutant(
