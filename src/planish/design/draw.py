@@ -29,6 +29,7 @@ from planish.design.rules import Rules
 INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
 BURNT = "#e8c9b8"
 ASIDE = 226.0  # where the right column begins
+_DASHED = (0, (5, 3))
 _SCALES = (
     0.1,
     0.15,
@@ -194,7 +195,7 @@ def drawing_page(pattern: Pattern) -> Page:
     axes = page.plan
     mm = 1000 / page.scale  # um of the sheet for one mm of paper
     _holes(axes, pattern, SOFT)
-    _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
+    _box(axes, (x, y), view, edgecolor=SOFT, ls=_DASHED)
     field_low = pattern.field_low_um
     corner = pattern.frame_low_um
     field_middle = field_low + np.array(pattern.field_um) / 2
@@ -207,7 +208,7 @@ def drawing_page(pattern: Pattern) -> Page:
         _write(axes, arrow_end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
     if pattern.layout != "own":
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
-        axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
+        _mark(axes, corner, "o", ms=7, mfc="none", mec=ACCENT, mew=0.9)
         corner_text = "no hole in this corner:\nit shows the orientation"
         text_place = pair_of(field_low + 13 * mm)
         look: Entries = {"color": ACCENT, "fontsize": 7.5, "ha": "left", "va": "bottom"}
@@ -250,8 +251,8 @@ def error_page(
     page = Page("Predicted error of the registration", subtitle, pattern.origin_um, pattern.view_um)
     _error_map(page, pattern, predicted)
     _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
-    _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
-    page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
+    _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=_DASHED)
+    _mark(page.plan, pattern.points_um, "o", ms=3.5, mfc="white", mec=INK, mew=0.8)
     field_points = predicted.field_um
     middle, *corners = field_points
     worst = corners[np.argmax(predicted.at(corners))]
@@ -266,7 +267,7 @@ def error_page(
         (worst, predicted.corner_um, "worst corner"),
     )
     for point, error_um, name in marked_points:
-        page.plan.plot(*point[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
+        _mark(page.plan, point, "+", ms=9, mew=1.4, color=ACCENT)
         # Towards the middle, so that the text stays inside the field.
         x, y = np.sign(middle - point)
         look: Entries = {"ha": ("center", "left", "right")[int(x)], "fontsize": 8.5}
@@ -342,11 +343,11 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
         if np.hypot(*(b - a)) * page.scale > 8000:
             middle = (a + b) / 2
             _arrow(axes, middle, middle + 0.01 * (b - a), color=SOFT, lw=0.8)
-    axes.plot(*shots_um.T, "o", ms=4.5, color=ACCENT, clip_on=False)
+    _mark(axes, shots_um, "o", ms=4.5, color=ACCENT)
     shot_numbers = [str(k + 1) for k in range(len(shots_um))]
     _numbers(axes, shots_um, shot_numbers, low, size)
     for place, name, dy in ((path_um[0], "begins", 7), (path_um[-1], "ends", -7)):
-        axes.plot(*place[:, None], "s", ms=5, mfc="white", mec=INK, clip_on=False)
+        _mark(axes, place, "s", ms=5, mfc="white", mec=INK)
         _write(axes, place, name, (-7, dy), fontsize=7.5, ha="right")
     pause_text = f"{1000 * run.least_pause_s:.0f} ms" if np.isfinite(run.least_pause_s) else "-"
     pulse_texts = sorted({f"{1000 * pulse_s:g}" for pulse_s in run.pulse_s})
@@ -370,6 +371,12 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
         for radius, colour in ((pattern.burnt_um, BURNT), (0.5 * pattern.diameter_um, INK)):
             look: Entries = {"facecolor": colour, "edgecolor": "none", "clip_on": False}
             axes.add_patch(Circle(pair_of(place), radius, **look))
+
+
+def _mark(axes: Axes, places: Floats, marker: str, **options: Any) -> None:
+    """Draw a marker at one place (2,) or at each of many (n, 2), on the plan's border as well."""
+    x, y = np.atleast_2d(places).T
+    axes.plot(x, y, marker, clip_on=False, **options)
 
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:

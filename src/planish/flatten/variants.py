@@ -106,7 +106,8 @@ def places_when_scaled(
     mesh_nodes = np.ix_(rows, cols)
     is_node = is_sheet[mesh_nodes]
     height = np.where(is_node, centre[mesh_nodes], np.nan)
-    across, down = np.meshgrid(surfaces["x"].values[cols], surfaces["y"].values[rows])
+    x, y = surfaces["x"].values, surfaces["y"].values
+    across, down = np.meshgrid(x[cols], y[rows])
     weights = node_weights(surfaces, rows, cols)
     uv_by_scale: dict[float, Floats] = {}
     for scale in (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5):
@@ -117,7 +118,8 @@ def places_when_scaled(
                 uv_by_scale[scale] = uv
     if 1.0 not in uv_by_scale:
         return np.ones(1), points[None].copy()
-    moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
+    all_uv = np.stack(list(uv_by_scale.values()), axis=1)
+    moves = all_uv - uv_by_scale[1.0][:, None]
     if Frame.of(surfaces).mirrored:
         moves[..., 0] *= -1.0
     node_u, node_v = (flat[name].values[mesh_nodes][is_node] for name in "uv")

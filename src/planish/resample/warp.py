@@ -178,13 +178,15 @@ def _warp_tile(image: Array, mapping: Mapping, out: Array, tile: Tile) -> None:
             # a line or a point of the source: one value spread over the patch would look like a
             # map.
             continue
-        corners = nodes[::3, ::3]
-        height = np.linalg.norm(corners[1] - corners[0], axis=-1).max()
-        width = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1).max()
+        upper, lower = nodes[::3, ::3]
+        height = np.linalg.norm(lower - upper, axis=-1).max()
+        upper_width = np.linalg.norm(upper[1] - upper[0])
+        width = max(upper_width, np.linalg.norm(lower[1] - lower[0]))
         target = out[y0:y1, x0:x1]
         if max(height / rows, width / cols) > LARGER:
-            borders = places(nodes, np.arange(rows + 1) / rows, np.arange(cols + 1) / cols)
-            target[:] = _averaged(image, borders)
+            row_borders = np.arange(rows + 1) / rows
+            col_borders = np.arange(cols + 1) / cols
+            target[:] = _averaged(image, places(nodes, row_borders, col_borders))
         else:
             row_weights = _weights((np.arange(rows) + 0.5) / rows)
             col_weights = _weights((np.arange(cols) + 0.5) / cols)
@@ -213,7 +215,9 @@ def _part(image: Array, positions: Floats, margin: int) -> tuple[Array, Floats]:
     if np.all(last > first):
         x0, y0 = first - low
         x1, y1 = last - low
-        part[y0:y1, x0:x1] = image[first[1] : last[1], first[0] : last[0]]
+        first_col, first_row = first
+        last_col, last_row = last
+        part[y0:y1, x0:x1] = image[first_row:last_row, first_col:last_col]
     return part, low.astype(np.float64)
 
 
@@ -229,11 +233,13 @@ def _averaged(image: Array, nodes: Floats) -> Floats:
     # Areas above the sides of the quadrilaterals, whose sum around one is its own (Green).
     mean_y_along = 0.5 * (y[:, :-1] + y[:, 1:])
     along = mean_y_along * np.diff(x, axis=1)
-    side = 0.5 * (y[:-1] + y[1:]) * np.diff(x, axis=0)
+    mean_y_aside = 0.5 * (y[:-1] + y[1:])
+    side = mean_y_aside * np.diff(x, axis=0)
     area = along[:-1] + np.diff(side, axis=1) - along[1:]
     falling = nodes[1:, 1:] - nodes[:-1, :-1]
     rising = nodes[:-1, 1:] - nodes[1:, :-1]
-    longest = np.maximum(np.sum(falling**2, axis=-1), np.sum(rising**2, axis=-1))
+    falling_square = np.sum(falling**2, axis=-1)
+    longest = np.maximum(falling_square, np.sum(rising**2, axis=-1))
     area[2 * np.abs(area) <= _FLAT * longest] = np.nan
     total = integrals(_sums(np.where(is_valid, part, 0.0)), x, y)
     weight = area if is_valid.all() else integrals(_sums(is_valid), x, y)

@@ -123,7 +123,8 @@ class SectionSeries:
         # Rows at each end that are taken to be background.
         _, n_down, n_across = blocks.shape
         margin = max(1, int(0.15 * n_down))
-        ends = np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1)
+        inner_rows = np.s_[margin : n_down - margin]
+        ends = np.delete(blocks, inner_rows, axis=1)
         background = _row_medians(ends.reshape(n, -1))
         is_sheet, weight = _find_sheet(blocks, background)
         thickness = is_sheet.sum(axis=1)

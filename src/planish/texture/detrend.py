@@ -203,7 +203,8 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     rings = np.rint(distance_um[is_used] / ring_um).astype(np.int64)
     counts = np.bincount(rings)
     mean_r = np.bincount(rings, weights=r[is_used]) / np.maximum(counts, 1)
-    is_below = (mean_r < np.exp(-1.0)) & (counts > 0)
+    limit = np.exp(-1.0)
+    is_below = (mean_r < limit) & (counts > 0)
     if not is_below.any():
         return math.inf
     first_below = int(np.argmax(is_below))
@@ -211,5 +212,5 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
         return ring_um
     # On the line from the ring before.
     last = first_below - 1
-    part = (mean_r[last] - np.exp(-1.0)) / (mean_r[last] - mean_r[first_below])
+    part = (mean_r[last] - limit) / (mean_r[last] - mean_r[first_below])
     return float(ring_um * (last + part))

@@ -11,7 +11,7 @@ from scipy import fft, optimize, special
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair, Shape2D
 from planish.texture.ncc import LEAST_PAIRS, Peak, overlap
 from planish.texture.spectra import lags_within, padded_shape, padded_spectrum
-from planish.texture.textures import centred, tile_sums
+from planish.texture.textures import centred, slopes_of, tile_sums
 
 _BOTH_AXES = ((1, 2), (1, 2))  # rows and columns of two stacks of maps, to sum over
 
@@ -109,8 +109,8 @@ class LagSearch:
         is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
         x = self._x[:, *x_slices]
         y = self._y[y_slices]
-        slope_y, slope_x = (np.gradient(self._y, axis=axis)[y_slices] for axis in (0, 1))
-        slopes = np.where(is_valid, (slope_y, slope_x), 0.0)
+        slope_y, slope_x = slopes_of(self._y)
+        slopes = np.where(is_valid, (slope_y[y_slices], slope_x[y_slices]), 0.0)
         n = np.count_nonzero(is_valid)
         fitted = np.tensordot(self.weights(peak.lag_px), x, 1)
         residual = np.where(is_valid, y - fitted, 0.0)

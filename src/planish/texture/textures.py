@@ -63,7 +63,7 @@ class Textures:
         """
         # Where a pixel and its four neighbours are known.
         is_valid = ndimage.binary_erosion(self.known)
-        slope_y, slope_x = (np.gradient(self.maps[name], axis=axis) for axis in (0, 1))
+        slope_y, slope_x = slopes_of(self.maps[name])
         maps = self.maps | {f"{name}_x": slope_x, f"{name}_y": slope_y}
         standard_maps = {k: standard(m, is_valid) for k, m in maps.items()}
         return replace(self, maps=standard_maps, known=is_valid)
@@ -224,6 +224,11 @@ def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     alike = np.sum(power) / (math.prod(size) * n)
     parts = tile_sums(influence_on_r(a, b, r), pixel_um)
     return math.sqrt(max(alike, np.sum(parts**2))) / n
+
+
+def slopes_of(values: Floats) -> tuple[Floats, Floats]:
+    """Slopes of a map (rows, cols) along y and x, a pixel."""
+    return np.gradient(values, axis=0), np.gradient(values, axis=1)
 
 
 def centred(values: Array, is_valid: Bools) -> Floats:
