@@ -147,7 +147,7 @@ async def get_events(request: Request) -> Response:
 
 
 def _changing(
-    model: type[_Body], action: Callable[[Session, Any], object]
+    model: type[_Body], action: Callable[[Session, Any], str | None]
 ) -> Callable[..., Awaitable[Response]]:
     """Handle what changes the session.
 
@@ -164,12 +164,24 @@ def _changing(
                 message = action(served_of(request).session, body)
             except Stale as error:
                 return Answer({"error": error.text} | _state_of(request), 409)
-            message_field = {"said": message} if isinstance(message, str) and message else {}
+            message_field = {"said": message} if message else {}
             return Answer(_state_of(request) | message_field)
 
         return await run_sync(act)
 
     return handle
+
+
+def _change(session: Session, body: _ChangeBody) -> None:
+    session.change(body.change, version=body.version)
+
+
+def _undo(session: Session, body: _Body) -> None:
+    session.undo(version=body.version)
+
+
+def _redo(session: Session, body: _Body) -> None:
+    session.redo(version=body.version)
 
 
 def _snap(session: Session, body: _SnapBody) -> str:
@@ -186,7 +198,7 @@ def _import(session: Session, body: _ImportBody) -> str:
     return f"{len(change.marks)} pairs of marks imported."
 
 
-def _find_texture(session: Session, body: _TextureBody) -> str:
+def _find_texture(session: Session, body: _TextureBody) -> str | None:
     """Take tiles of the texture in place of all marks.
 
     The tiles are about a place in the image, or where a person laid the maps.
@@ -207,7 +219,7 @@ def _find_texture(session: Session, body: _TextureBody) -> str:
     )
     change = Import(layer=layer, marks=pairs_of(registration.marks))
     session.change(change, version=body.version)
-    return registration.sentence or ""
+    return registration.sentence
 
 
 def get_predict(request: Request) -> Response:
@@ -274,13 +286,9 @@ ROUTES = [
     route("/api/session", get_session),
     route("/api/state", lambda r: Answer(_state_of(r))),
     route("/api/events", get_events),
-    route(
-        "/api/change",
-        _changing(_ChangeBody, lambda s, body: s.change(body.change, version=body.version)),
-        "POST",
-    ),
-    route("/api/undo", _changing(_Body, lambda s, body: s.undo(version=body.version)), "POST"),
-    route("/api/redo", _changing(_Body, lambda s, body: s.redo(version=body.version)), "POST"),
+    route("/api/change", _changing(_ChangeBody, _change), "POST"),
+    route("/api/undo", _changing(_Body, _undo), "POST"),
+    route("/api/redo", _changing(_Body, _redo), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

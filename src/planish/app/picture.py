@@ -316,8 +316,8 @@ class ComputedLevels:
 def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
     """Remove copies unused for the longest time until the others take at most ``most_bytes``."""
     with suppress(OSError):
-        others = {*root.iterdir()} - {keep}
-        folders = sorted(others, key=lambda folder: folder.stat().st_mtime)
+        removable = {*root.iterdir()} - {keep}
+        folders = sorted(removable, key=lambda folder: folder.stat().st_mtime)
         sizes: dict[Path, int] = {}
         for folder in [*folders, keep]:
             sizes[folder] = sum(file.stat().st_size for file in folder.iterdir())

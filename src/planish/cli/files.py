@@ -207,10 +207,10 @@ def properties() -> None:
     from planish.core.plugins import plugins
     from planish.measure import find_property, registered
 
-    own = registered()
-    rows = [(prop.name, prop.units, prop.long_name) for prop in own.values()]
+    included = registered()
+    rows = [(prop.name, prop.units, prop.long_name) for prop in included.values()]
     for plugin in plugins("property"):
-        if plugin.name in own:
+        if plugin.name in included:
             continue
         try:
             prop = find_property(plugin.name)
