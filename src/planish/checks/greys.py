@@ -211,7 +211,8 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     tile_greys = np.nanmedian(scan.core_grey[is_seen], axis=(1, 2))
     frame = Frame.of(scan.measured)
     changes: dict[str, tuple[float, float]] = {}  # along an axis, and how large it may be
-    for axis, numbers in zip((frame.rows, frame.cols), scan.core.tiles, strict=True):
+    sheet_axes = (frame.rows, frame.cols)
+    for axis, numbers in zip(sheet_axes, scan.core.tiles, strict=True):
         tile_numbers = numbers[is_seen]
         places, strip = np.unique(tile_numbers, return_inverse=True)
         if places.size < 4:
@@ -472,7 +473,8 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     block_lags = [lags for lags in block_lags if least_variance < lags[0] < np.inf]
     # Blocks that hold more than air, such as a part of a film, vary more.
     largest_variance = 2 * min((lags[0] for lags in block_lags), default=0.0)
-    lags = sum((lags for lags in block_lags if lags[0] < largest_variance), np.zeros(_LAGS))
+    of_air = [lags for lags in block_lags if lags[0] < largest_variance]
+    lags = sum(of_air, np.zeros(_LAGS))
     if not lags[0] > lags[-1]:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.

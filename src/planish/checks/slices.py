@@ -89,7 +89,7 @@ _SENTENCES: dict[Kind, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Fault:
     """Slices ``first`` to ``last`` are not what they should be.
 
@@ -338,7 +338,7 @@ def _empty(t: _Stack) -> Iterator[Fault]:
     usual = _FULL * float(np.median(t.slice_sd))
     for first, stop in edges.reshape(-1, 2).tolist():
         if min(t.slice_sd[first - 1], t.slice_sd[stop]) > usual:
-            yield Fault(kind="empty", first=first, last=stop - 1)
+            yield Fault("empty", first, stop - 1)
 
 
 def _foreign(t: _Stack) -> Iterator[Fault]:
@@ -361,11 +361,11 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
             continue
         copied.add(k)
         if is_copy:
-            yield Fault(kind="repeated", first=k, last=k, other=nearest)
+            yield Fault("repeated", k, k, other=nearest)
         elif differences[nearest] < _FITS * t.usual_difference(nearest):
-            yield Fault(kind="moved", first=k, last=k, other=nearest)
+            yield Fault("moved", k, k, other=nearest)
         else:
-            yield Fault(kind="foreign", first=k, last=k)
+            yield Fault("foreign", k, k)
 
 
 def _copies(t: _Stack) -> Iterator[Fault]:
@@ -393,7 +393,7 @@ def _copies(t: _Stack) -> Iterator[Fault]:
         # The same slice over and over, or one slice after the other.
         while sources.get(last + 1) in (source, source + last + 1 - first):
             last += 1
-        yield Fault(kind="repeated", first=first, last=last, other=source)
+        yield Fault("repeated", first, last, other=source)
 
 
 def _exchanged(t: _Stack) -> Iterator[Fault]:
@@ -403,15 +403,16 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     than the other one does from that: `EXCHANGED` times, and more than chance makes.
     """
     k = np.arange(1, t.d1.size - 1)
+    before, inside, behind = t.d1[:-2], t.d1[1:-1], t.d1[2:]  # of a pair of neighbours
     crossed = np.maximum(t.d2[:-1], t.d2[1:])
-    smaller = np.minimum(t.d1[:-2], t.d1[2:])
+    smaller = np.minimum(before, behind)
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
     ratio = smaller / np.maximum(crossed, _TINY)
     is_exchanged = ratio > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
     d3 = _differences(t.s, 3)
-    largest = np.max([t.d1[:-2], t.d1[2:], d3], axis=0)
-    pairs = np.flatnonzero(t.d1[1:-1] > limit * largest)
+    largest = np.max([before, behind, d3], axis=0)
+    pairs = np.flatnonzero(inside > limit * largest)
     beside = np.concatenate([pairs - 2, pairs + 2])
     pairs = pairs[np.isin(pairs, beside)]
     is_exchanged |= np.isin(k, pairs) | np.isin(k, pairs + 2)
@@ -420,7 +421,7 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     for first in k[is_exchanged].tolist():
         if first > last:
             last = first + 1
-            yield Fault(kind="exchanged", first=first, last=last)
+            yield Fault("exchanged", first, last)
 
 
 def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
@@ -449,7 +450,7 @@ def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tupl
 def _near_copies(t: _Stack) -> Iterator[Fault]:
     """Slices that differ so little from the one before as only a copy of it does."""
     for a, b in _dips(_log(t.square), t.is_good, 2, ALIKE):
-        yield Fault(kind="repeated", first=a + 1, last=b + 1, other=a)
+        yield Fault("repeated", a + 1, b + 1, other=a)
 
 
 def _filled(t: _Stack) -> Iterator[Fault]:
@@ -458,7 +459,7 @@ def _filled(t: _Stack) -> Iterator[Fault]:
         across = _square(t.s[b + 2], t.s[a])  # from the slice before them to the one behind
         # Otherwise all of them are copies.
         if across > _COPY * t.usual_difference(a):
-            yield Fault(kind="filled", first=a + 1, last=b + 1)
+            yield Fault("filled", a + 1, b + 1)
 
 
 def _far_copies(t: _Stack) -> Iterator[Fault]:
@@ -482,7 +483,7 @@ def _far_copies(t: _Stack) -> Iterator[Fault]:
         if differences.min() < limit:
             is_copy = _differences(t.s[source : k + 64], k - source) < limit
             count = int(np.argmin(np.append(is_copy, False)))  # up to the first that is none
-            yield Fault(kind="repeated", first=k, last=k + count - 1, other=source)
+            yield Fault("repeated", k, k + count - 1, other=source)
 
 
 def _jumps(t: _Stack) -> Iterable[Fault]:
@@ -530,8 +531,8 @@ def _jump(t: _Stack, k: int) -> Fault:
         limit = 1.3 * np.median(around)
         is_at_end = nearest in (0, t.d1.size)
         if is_at_end or t.d1[nearest - 1 : nearest + 1].max() > limit:
-            return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
-    return Fault(kind="jump", first=k, last=k + 1, steps=_missing_steps(t, k))
+            return Fault("moved", k + 1, k + 1, other=nearest)
+    return Fault("jump", k, k + 1, steps=_missing_steps(t, k))
 
 
 def _missing_steps(t: _Stack, k: int) -> float:

@@ -96,10 +96,12 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     y, m2 = (of_tiles[is_used] / count[is_used] for of_tiles in sums)
     positions = np.argwhere(is_used.reshape(tile_shape)) / tile_shape
     block = np.floor(positions * _BLOCKS) @ [_BLOCKS, 1]
-    design = np.column_stack([np.ones(y.size), m2, positions - positions.mean(axis=0)])
+    drift = positions - positions.mean(axis=0)
+    design = np.column_stack([np.ones(y.size), m2, drift])
     scale_squared = _ratio(design, y)
     without_one = (block != k for k in np.unique(block))
-    leave_one_out = np.array([_ratio(design[is_left], y[is_left]) for is_left in without_one])
+    ratios = [_ratio(design[is_left], y[is_left]) for is_left in without_one]
+    leave_one_out = np.array(ratios)
     deviations = leave_one_out - leave_one_out.mean()
     spread = np.sqrt((deviations.size - 1) * np.mean(deviations**2))
     if not (np.isfinite(scale_squared) and np.isfinite(spread)):
@@ -232,5 +234,6 @@ def _spacing(sheet: MeasuredSheet | RegisteredSheet) -> tuple[str, float]:
 
 def _ratio(design: Floats, response: Floats) -> float:
     """Slope over intercept of a regression; the first two columns of the design."""
-    intercept, slope = np.linalg.lstsq(design, response, rcond=None)[0][:2]
+    coefficients, *_ = np.linalg.lstsq(design, response, rcond=None)
+    intercept, slope = coefficients[:2]
     return float(slope / intercept)

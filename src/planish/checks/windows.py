@@ -109,7 +109,8 @@ def _by_window(points: Places, boxes: dict[Axis, Box]) -> dict[Axis, tuple[Index
     window_number = np.full(len(points), -1, np.int8)  # of each point; -1 outside of all
     for i, box in enumerate(boxes.values()):
         is_inside = np.ones(len(points), bool)
-        for places, part in zip(columns, (box["z"], box["y"], box["x"]), strict=True):
+        parts = (box["z"], box["y"], box["x"])
+        for places, part in zip(columns, parts, strict=True):
             is_inside &= (places >= part.start) & (places < part.stop)
         window_number[is_inside] = i
     by_axis: dict[Axis, tuple[Index, Places]] = {}
@@ -167,7 +168,8 @@ def _read_part(
         along_axis = places[:, k]
         is_here = (along_axis >= cut.start) & (along_axis < cut.stop)
         indices = wanted[is_here]
-        starts = np.array([cut_box[name].start for name in "zyx"], places.dtype)
+        first_voxel = [cut_box[name].start for name in "zyx"]
+        starts = np.array(first_voxel, places.dtype)
         z, y, x = (places[is_here] - starts).T
         grey = greys[z, y, x].astype(np.float32)
         sampled = greys[::3, ::3, ::3] if is_sampled else greys[:0]  # for a histogram

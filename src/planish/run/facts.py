@@ -198,8 +198,9 @@ def _registration_facts(link: Link, maps: xr.Dataset, lag: LagNumbers | None) ->
     expected_error = None
     if errors_um.size:
         shares = error_shares(maps, has_shared=fit.shared_um > 0)
+        median_um = np.median(errors_um)
         expected_error = ExpectedError(
-            median_um=np.median(errors_um), largest_um=errors_um.max(), shares=shares
+            median_um=median_um, largest_um=errors_um.max(), shares=shares
         )
     return RegistrationFacts(
         to=fixed.name,

@@ -45,7 +45,8 @@ def register_by_marks(
     mirrored = None if params.mirror else layer.side != fixed.side
     fit = fit_marks(marks, params=params, mirrored=mirrored)
     usual_um = float(np.mean(holes.params.hole_um))
-    for side, own_layer, other_layer in (("moving", layer, fixed), ("fixed", fixed, layer)):
+    sides = (("moving", layer, fixed), ("fixed", fixed, layer))
+    for side, own_layer, other_layer in sides:
         is_placed = np.isfinite(marks[f"{side}_x"].values)
         diameters = marks.get(f"{side}_diameter")
         if diameters is None or not np.isfinite(diameters.values[is_placed]).all():
