@@ -140,7 +140,11 @@ class ThicknessOptions(Params):
 
 
 def thickness_se(sheet: Sheet, name: str) -> Floats:
-    """Standard errors of a thickness along the sheet's rays."""
+    """Standard errors of a thickness, or of the height of a face, along the sheet's rays.
+
+    (rows, cols) in um. ``name``: of its map, as of
+    :func:`~planish.measure.uncertainty.thickness_errors`, whose errors are those along normals.
+    """
     from planish.measure.rays import secant
     from planish.measure.uncertainty import SharedNoise, thickness_errors
 
@@ -529,7 +533,10 @@ def half_thickness_difference(sheet: Sheet) -> Measured:
     has_true_zero=False,
 )
 def warp(sheet: Sheet) -> Floats:
-    """Height of the centre surface above the plane that fits it best, up towards the top."""
+    """Height of the centre surface above the plane that fits it best, up towards the top.
+
+    (rows, cols) in um. The plane is that of the least squares over the rays that meet both faces.
+    """
     height = sheet.frame.heights["centre"]
     rows, cols = height.shape
     row_um, col_um = sheet.frame.pitch_um

@@ -282,7 +282,10 @@ sheet_property = _registers("sheet")
 
 
 def _add(added: Property) -> Property:
-    """Register a property, or those of both sides; CannotMeasure if it can not have its name."""
+    """Register a property, or those of both sides where its name has ``{side}`` in it.
+
+    Returns it, or that of the bottom side. CannotMeasure if its name is none or is taken.
+    """
     if "{side}" in added.name:
         return [_add(_of_side(added, side)) for side in SIDES][-1]
     if not added.name.isidentifier():

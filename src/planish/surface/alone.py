@@ -170,7 +170,11 @@ def _run_sums(summed: Floats, first: Floats, last: Floats) -> list[Floats]:
 
 
 def _grey(sums: Floats) -> LoneGrey | None:
-    """Grey of a side from its sums (fields, radii, blocks); None where too few voxels are alone."""
+    """Grey of a side from its sums (fields, radii, blocks); None where too few voxels are alone.
+
+    The fields are those of :func:`_run_sums`. The largest radius of ``RADII`` that leaves enough
+    voxels is taken.
+    """
     for radius in range(len(RADII)):
         count, grey, half, outer, inner = (field[radius] for field in sums)
         if count.sum() < _ENOUGH:

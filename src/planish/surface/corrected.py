@@ -144,7 +144,11 @@ def preview_faces(
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
-    """Rows and columns that a stretch may change, and those that its faces are expected from."""
+    """Rows and columns that a stretch may change, and those that its faces are expected from.
+
+    One column at least. A stretch reaches ``reach_um`` from its points, and what its faces are
+    expected from half of that farther, or the width of the ring.
+    """
     frame = Frame.of(surfaces)
     margin_um = 1.5 * stretch.reach_um + 2 * RING_UM
     box: list[slice] = []

@@ -117,7 +117,11 @@ class Drawing:
     def __init__(
         self, surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, engine: Engine
     ) -> None:
-        """Draw the faces to all stretches, one after the other."""
+        """Draw the faces to all stretches, one after the other.
+
+        ``surfaces``: without corrections, of which the attributes give grey levels, noise and blur;
+        ``volume``: where they were found, of which only some tiles are read.
+        """
         self.columns = columns_of(surfaces, volume)
         self.engine = engine
         self.attrs = surfaces.attrs

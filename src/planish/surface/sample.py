@@ -55,7 +55,11 @@ class Sampler:
     """
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
-        """Choose the rows that are sampled; grey is on the scale of the survey."""
+        """Choose the rows that are sampled; grey is on the scale of the survey.
+
+        ``embedded_level`` is the grey that separates the sheet from other material, and 0 where air
+        lies beside it; noise and ``scatter`` are of one column before any averaging.
+        """
         self.columns = columns
         self.guide = guide
         self.embedded_level = survey.coarse.threshold if survey.surroundings != "air" else 0.0

@@ -101,7 +101,10 @@ def survey_labels(
 
 
 def _block(columns: Columns) -> tuple[int, Shape2D]:
-    """Columns along the edge of a block, and steps between sampled rows and sampled columns."""
+    """Columns along the edge of a block, and steps between sampled rows and sampled columns.
+
+    VolumeError where the volume has too few voxels along an axis.
+    """
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(
@@ -146,7 +149,11 @@ class _Reading:
 
 
 def _read(columns: Columns, engine: Engine) -> _Reading:
-    """Read all columns once, and join what their tiles give."""
+    """Read all columns once, and join what their tiles give.
+
+    A tile of whole blocks gives sums of its blocks, and the columns of the sample that lie in it;
+    each goes where the tile lies in the grid of the blocks or of the sample.
+    """
     block, stride = _block(columns)
     rows, cols, depth = columns.shape
     block_shape = max(rows // block, 1), max(cols // block, 1), depth
