@@ -133,11 +133,12 @@ def bland_altman(a: Array, b: Array, *, pixel_um: Pixel) -> Agreement:
         sd = 0.0
     else:
         lags = Lags(is_valid, pixel)
+        # Variance of the differences, and the independent points of their mean.
         variance, n_eff = scatter_of(differences, lags)
         # Of maps with these covariances; the number for the mean is smaller, as long waves weigh
         # more in it.
         n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
-    intervals: Entries = {}
+    intervals: Entries = {}  # none where too few points are independent
     if is_constant or min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         free = min(n_eff / _POINTS_A_FREE, _MOST_FREE)
         quantile = t_95(free)

@@ -96,6 +96,7 @@ def conley_interval(
     error = critical = ratio = math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
         pair = PairCovariances(x, y, Lags(is_valid, pixel))
+        # Standard error of z from what the points add to r, and the same over the covariances'.
         spatial_error, ratio = pair.spatial_error(r)
         if spatial_error > 0:
             error = spatial_error

@@ -586,6 +586,7 @@ def _certainty(
         warnings.append(f"Only {n_eff:.0f} independent points. Measure a larger field.")
     if 1 - r * r < 1e-14:
         return {"n_eff": n_eff, "p": 0.0, "interval": (r, r)}
+    # Standard error by what single points add to r over that by the covariances, 1 at least.
     error_ratio = pair.unevenness(pearson(x[is_valid], y[is_valid]))
     if error_ratio > UNEVEN:
         warnings.append(

@@ -168,6 +168,7 @@ def correlogram_of(
     asked = np.floor(np.divide(reach_um, pixel) + 1e-9).astype(np.intp)
     zero_row, zero_col = np.clip(asked, 1, np.maximum(most, 1)).tolist()
     reach: Shape2D = (zero_row, zero_col)
+    # r at every lag (along y, along x) over the pairs that both masks leave; NaN where few are.
     ncc = MaskedNcc(a, a_valid=a_valid, b_valid=b_valid, reach=reach)
     r = ncc(b)
     if not np.isfinite(r).any():
@@ -302,11 +303,16 @@ def _limits(
     next_lags = np.array([together[1, 0], together[0, 1]])
     falls = 1 - next_lags / together[0, 0]
     slopes = np.sqrt(2 * np.maximum(falls, 0.0))
+    # How long and wide all lags are, in lags over which r changes by a standard deviation.
     edge, face = (np.array(pairs.shape) - 1) * slopes
     count = int(np.count_nonzero(looked_at))
 
     def chance(u: float) -> float:
-        """Of exceeding u standard deviations anywhere, on either side."""
+        """Probability that r exceeds u standard deviations at any lag, to either side.
+
+        The mean Euler characteristic of what exceeds them: of a point, of the edges and of the face
+        of all lags (Worsley 1996); not above that of as many single lags (Bonferroni).
+        """
         tail = normal_tail(u)
         bump = math.exp(-u * u / 2)
         mean = tail + (edge + face) * bump / (2 * math.pi)

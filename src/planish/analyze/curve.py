@@ -149,6 +149,7 @@ def straight_or_curved(
         n_bend = known_points(x, y, n_eff_square)[2]
     scale = xs.std()
     u = (xs - xs.mean()) / scale
+    # Terms are powers of u, the highest first: so are coefficients and half widths.
     line, r2_line = _least_squares(np.vander(u, 2), ys, n_slope)
     parabola, r2_parabola = _least_squares(np.vander(u, 3), ys, n_bend)
     slope, slope_width = line[:, 0] / scale

@@ -81,11 +81,13 @@ def paired_difference(
     old_scores = _influence_on_z(maps[0], maps[1], r[0])
     new_scores = _influence_on_z(maps[2], maps[3], r[1])
     lags = Lags(is_valid, pixel)
+    # Sums of the products of all pairs of pixels at each lag; lag 0 is the sum of squares.
     products = lags.own_products(new_scores - old_scores)
     if not products[0, 0] > 0:  # the same pair twice
         return replace(without_interval, interval=around(r[1] - r[0], 0.0))
     covariance = lags.covariance(products, lags.until_zero(products))
     variance = max(lags.variance_of_mean(covariance), _gaussian_variance(maps, r, lags))
+    # Independent values of what the pixels add.
     n_eff = covariance[0, 0] / variance if variance > 0 else 0.0
     if n_eff < LEAST_CLAIMED:
         return without_interval

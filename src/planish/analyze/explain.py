@@ -203,6 +203,16 @@ class ModelMaps:
 def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) -> Explained:
     """Explain a map by others, on cells of one size.
 
+    Parameters
+    ----------
+    maps : ModelMaps; response and predictors on one grid, with the errors that are stated of them
+    cell_um : float, in um; edge of the cells of the model, whose other sizes stand beside it
+    corrected : bool; whether the stated errors are taken off
+
+    Returns
+    -------
+    Explained
+
     Raises
     ------
     InputError
@@ -214,6 +224,7 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
         stated errors are as large as the maps' own variation.
     """
     sizes_um = _cell_sizes(maps.grid, cell_um)
+    # The response is the first column; a factor has several.
     response = CellColumn(name=str(maps.response.name), values=maps.response)
     columns = [response]
     for name, values in maps.predictors.items():
@@ -223,6 +234,7 @@ def explain_maps(maps: ModelMaps, *, cell_um: float, corrected: bool = False) ->
     means_by_size = dict(zip(sizes_um, cells_by_size, strict=True))
     cells = _Cells.of(columns, means_by_size.pop(cell_um), cell_um)
     _refuse_sums(cells)
+    # (k + 1, k + 1), the response as the last; 0 where no error is stated.
     errors = covariance_of_errors([*cells.names, response.name], maps.errors)
     if corrected and not errors.any():
         raise InputError(

@@ -143,14 +143,16 @@ def fit_kubelka_munk(
     sum_of_squares = fit.squares(*best)
     rms = math.sqrt(sum_of_squares / xs.size)
     squares_without_layer = np.sum((ys - ys.mean()) ** 2)
+    # S is 0 where the grey does not rise with x.
     if best[0] <= 1e-6 or sum_of_squares >= squares_without_layer * (1 - 1e-9):
         raise CannotMeasure(
             f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not"
             " rise with x as it would. Look at the straight line; give absorption_over_scattering"
             " where the layer darkens what it covers."
         )
+    # Of S and of the backing; both ends are the best value where the fit has no error.
     intervals: list[Pair] = [*zip(best, best, strict=True)]
-    if rms > 1e-9:  # else the fit has no error
+    if rms > 1e-9:
         free = n_slope - 2
         limit = sum_of_squares * (1 + t_95(free) ** 2 / free)
         intervals = [fit.interval(k, best, limit) for k in (0, 1)]

@@ -317,10 +317,11 @@ def texture_lag(  # noqa: PLR0911
     halves = [texture.halves(k) for k in first]
     x = np.concatenate(halves)
     y = texture.maps[last]
+    # Lags beyond the reach are needed to see a peak at its border.
     no_lag = (reach[0] + MARGIN, reach[1] + MARGIN)
     search = LagSearch(x, y, texture.known, no_lag)
     allowed = within(reach)
-    limit = search.limit(reach)
+    limit = search.limit(reach)  # of R², which chance exceeds in 1 of 1000 cases
     above = allowed & (search.height > limit)
     is_above = above.any()
     peak = find_peak(search.share, above if is_above else allowed)
@@ -329,6 +330,7 @@ def texture_lag(  # noqa: PLR0911
     lag = build_lag(reason="texture", limit_r=math.sqrt(limit), r_at_zero=r_at_zero)
     if peak is None:
         return lag
+    # The sign is that of what follows the very first map in the fit.
     weights = search.weights(peak.lag_px)
     n_first = len(halves[0])
     fitted = np.tensordot(weights[:n_first], x[:n_first], 1)
@@ -339,6 +341,7 @@ def texture_lag(  # noqa: PLR0911
         return lag
     if not peak.inner:
         return replace(lag, reason="border")
+    # A second peak of four fifths of the first one's R² may be the right one.
     if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
         return replace(lag, reason="rival")
     n_slopes = sum(map(len, halves[len(first) - slopes :]))

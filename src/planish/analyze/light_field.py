@@ -125,7 +125,8 @@ def light_field(a: Floats, b: Floats, *, point_um: float) -> tuple[LightField, F
             raise CannotMeasure(f"The {name} is a quadratic field of x and y itself. Look at it.")
     slope = x_rest @ y_rest / (x_rest @ x_rest)
     field = terms @ (terms.T @ (y - slope * x))
-    field -= field.mean()
+    field -= field.mean()  # values at the points that are known, in the units of the image
+    # What the field leaves of both, as maps: their correlation is the partial one.
     rests = [placed(rest, is_valid, math.nan) for rest in (x_rest, y_rest)]
     partial_row = correlate(*rests, pixel_um=point_um)
     plain_row = correlate(a, b, pixel_um=point_um)

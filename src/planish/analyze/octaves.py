@@ -100,6 +100,7 @@ def coherence(a: Array, b: Array, *, pixel_um: Pixel, bands: int = 5) -> Coheren
         )
     waves = Waves(is_valid, pixel, a, b)
     half = half_plane(is_valid.shape) & waves.stand_out
+    # (2, rows, columns of rfft2), and the same over the spread of each map in its ring.
     raw = np.stack(waves.spectra)
     spread_of_rings = np.sqrt(np.maximum(waves.powers, 1e-300))
     whitened = raw / spread_of_rings[:, waves.ring]

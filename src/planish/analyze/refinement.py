@@ -132,6 +132,7 @@ def cross_fitted(
             " length, or take the slow variations off the maps first."
         )
     side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard)
+    # Map a, map b as tuned, and map b by the marks, at the pixels that are reported on.
     centred = np.full((3, *a.shape), np.nan)
     for is_tuned, is_reported in zip(tuned_masks, report_masks, strict=True):
         tuned_b = tune(np.where(is_tuned, a, np.nan), is_tuned)

@@ -112,6 +112,7 @@ def ring_correlation(a: Array, b: Array, *, pixel_um: Pixel) -> RingCorrelation:
     correlation = cross / np.maximum(spread, 1e-300)
     n_strong_waves = sums(waves.stand_out.astype(np.float64))
     weak = np.flatnonzero(n_strong_waves < count)
+    # By the mean frequency of the waves in a ring.
     wavelengths_um = count / sums(waves.frequency)
     modes = count / waves.joined
     columns = np.stack([wavelengths_um, correlation, modes], axis=1)

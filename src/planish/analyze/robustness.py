@@ -99,6 +99,7 @@ def origins(a: Array, b: Array, *, pixel_um: Pixel, point_um: float) -> Origins:
     is_valid, pixel = valid_pixels(a, b, pixel_um)
     x = np.where(is_valid, a, np.nan)
     quarters_um = np.arange(4) * point_um / 4
+    # Whole pixels, of which a small point has fewer than four.
     steps_px = [np.rint(quarters_um / step) for step in pixel]
     starts = [np.unique(steps).astype(int) for steps in steps_px]
     known_r: list[float] = []

@@ -183,6 +183,7 @@ def octaves_of_map(
     if maps[0].has_zero and facts.mean > 0:
         mean = facts.mean
     bands: list[ScaleBand] = []
+    # Of each octave the powers of the maps with each other, without what other waves leak.
     for power in field.powers(arrays):
         octave_noise = noise.get(power.low_um, _Noise.none(count))
         values = _spread(power, octave_noise, mean)

@@ -278,6 +278,7 @@ def variances_of(fields: Fields) -> SheetVariances:
     ratio = squares_between / (k - 1) / within
     interval = np.full(2, math.nan)
     if not too_few(k):
+        # Quantiles of the ratio of both variances where sheets are alike.
         f = special.fdtri(k - 1, n - k, [0.975, 0.025])
         ratio_of_means = fields_per_sheet * spread / within
         excess = np.maximum(ratio_of_means / f - 1, 0.0)

@@ -134,6 +134,7 @@ def half_points(
     # Of all cells, or of all whole points.
     sides_um = np.multiply(is_valid.shape, cell_um), np.multiply(enough.shape, point_um)
     height_um, width_um = np.minimum(*sides_um)
+    # From the flat sheet (u, v) to (x, y) of the reference, from the outer corner on.
     turn = columns.similarity.matrix()
     shift_um = np.subtract(columns.similarity.shift_um, origin_um)
     n_columns = np.zeros(enough.size)

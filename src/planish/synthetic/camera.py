@@ -164,7 +164,7 @@ def photograph(
     radius_um = np.empty((0, 0))
     if screen:
         first_cell, radius_um = _dot_radii(sheet, screen, tone)
-    # What is not due to the coating, the print, and the burnt rims.
+    # Added are what is not due to the coating, the print, and the burnt rims.
     for rows in _row_blocks(len(image)):
         uv = (u[rows], v[rows])
         reflectance = image[rows] + gain * _sample(sheet, nuisance, *uv)

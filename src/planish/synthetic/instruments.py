@@ -47,8 +47,9 @@ def painted(
     half_depth = 1.05 * reach_um * float(np.hypot(1.0, warp.steepest))
     base = grey[1] - grey[0]
     coating = grey[2] - grey[0]
-    greys = np.array([base, coating, _CRACK * coating])
+    greys = np.array([base, coating, _CRACK * coating])  # less that of air
     structure = sheet.structure
+    # No cells: the base is a slab.
     structure_args = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
     if structure is not None:
         structure_args = (structure.density, structure.low_um, structure.cell_um, structure.film_um)

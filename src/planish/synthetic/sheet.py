@@ -416,6 +416,7 @@ def make_sheet(
         relief = 0.5 * (upper_height - lower_height)
     else:
         thickness, relief = _base(paper, shape, seed)
+    # Grammage of the base follows its thickness; density varies by 3 % beside that.
     mass_noise = 0.03 * noise(shape, 500.0, generator(seed, "mass"))
     mass = thickness / thickness.mean() * (1 + mass_noise)
     mass /= mass.mean()
