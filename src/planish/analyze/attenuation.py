@@ -78,6 +78,7 @@ def attenuation_limit(
     if point_um is not None:
         point = np.outer(np.sinc(along_y * point_um), np.sinc(along_x * point_um))
         spectrum *= point**2
+    # Radians a um, for each wave.
     turns = 2 * math.pi * np.hypot(along_y[:, None], along_x)
     quantiles = errors.ravel()
     if errors.size > 1:

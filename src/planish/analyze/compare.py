@@ -199,6 +199,7 @@ def _sums_of_pairs(
         is_valid = valid_a & valid_b
         masked = [np.where(is_valid, part, np.nan) for part in parts]
         values = dict(zip(keys, masked, strict=True))
+        # Bands of the first and of the second map of each pair.
         x = [values[0, name] for name, _ in pairs]
         y = [values[1, name] for _, name in pairs]
         map_threads(PairAtSizes.add, sums, repeat(rows.start), x, y)

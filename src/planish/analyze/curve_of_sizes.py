@@ -125,6 +125,7 @@ def _wider(tile_sums: list[Floats]) -> float:
     """
     if len(tile_sums) < 2:
         return 1.0
+    # Sizes that leave a rest at the border may have other numbers of tiles.
     n_tiles = min(sums.size for sums in tile_sums)
     in_common = np.stack([sums[:n_tiles] for sums in tile_sums])
     correlations = np.corrcoef(in_common)

@@ -375,9 +375,12 @@ def held_out_r(
 
     The place was found by their texture.
 
-    A similarity is tuned on every other tile and r read off the rest; where the map is too small
-    for that, r stands beside what the same tuning reaches on unrelated maps. The slopes of
-    ``face``, heights, take up one-sided light. Waves and reach are those of paper in ``unit_um``.
+    ``a`` is a map of the sheet and ``b`` the image, both where their place put them, in pixels of
+    ``pixel_um`` along y and x; ``valid`` are the pixels that count. A similarity is tuned on every
+    other tile and r read off the rest; where the map is too small for that, r stands beside what
+    the same tuning reaches on unrelated maps. The slopes of ``face``, heights in um, take up
+    one-sided light; None where the sheet has none. Waves and reach are those of paper in
+    ``unit_um``.
     """
     coarsest_um = unit_um * _COARSEST_UM
     a = _detail(a, valid, pixel_um, coarsest_um)
@@ -403,6 +406,7 @@ def held_out_r(
         if face is not None:
             maps["face"] = face
             light = ("face_x", "face_y")
+        # What both maps hold in the band of waves by which places are searched.
         moving = textures(maps, look & np.isfinite(other), pixel, band_um=BAND_UM)
         if face is not None:
             moving = moving.with_slopes("face")
@@ -415,6 +419,7 @@ def held_out_r(
         placed = ndimage.map_coordinates(spline, places_px, order=3, prefilter=False)
         return np.where(is_inside, placed, np.nan)
 
+    # Within a sentence, or at its beginning: its first letter is put before it.
     waves_text = f"ithout waves above {coarsest_um / 1000:g} mm, "
     try:
         of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)

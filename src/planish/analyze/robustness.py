@@ -331,6 +331,7 @@ def answer_partial(pair: ComparedMaps) -> Entries:
     if "thickness" not in sheet_maps:
         return {}
     _check_beside(sheet_maps, covariates)
+    # Maps that both contain: taking such a map off takes part of the headline map itself off.
     all_parts = {name: shared_parts(pair.a[1], name, sheet_maps) for name in covariates}
     parts = {name: shared for name, shared in all_parts.items() if shared}
     partial_of = functools.partial(

@@ -146,6 +146,7 @@ def half_points(
         before = min(rows.start, 2)
         first = rows.start - before
         part = columns.part(slice(first, rows.stop + 2))
+        # The map by columns, and whether each value is of its column alone.
         values, alone = part.values(name)
         of_band = slice(before, rows.stop - first)
         half_maps = [_half(values, parity) for parity in (1, 0)]

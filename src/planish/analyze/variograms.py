@@ -173,6 +173,7 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
         return 0.0
     low = np.flatnonzero(covariance < 0.3 * covariance[0])
     until_low = int(low[0]) if low.size else covariance.size
+    # Rings that the model is fitted to: at most 40, which hold what lies near distance 0.
     count = min(max(until_low, _LEAST_RINGS), 40)
     h = distance[:count]
     c = covariance[:count] / covariance[0]
@@ -180,6 +181,7 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     # long waves.
 
     def off(p: Floats) -> Floats:
+        """How far the covariances by the model, over that of the first ring, are off."""
         return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
 
     farthest = h[-1]

@@ -201,7 +201,7 @@ def _packed(warp: Warp) -> TwoFields:
     mean_directions = np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W])
     steps = 0.5 * _STEP_UM * mean_directions
     places = running_sums(steps).T
-    places = places - places[middle]
+    places = places - places[middle]  # the middle is the origin
     turn = turn_at(p0 + _STEP_UM * np.arange(count))
     curve = np.column_stack([places, np.cos(turn), np.sin(turn)])
     parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM]

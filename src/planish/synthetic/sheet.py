@@ -265,6 +265,7 @@ def _hole(
         for a, b in waves:
             harmonic = harmonic * spin
             roughness += a * harmonic.real + b * harmonic.imag
+        # Along the axes of the ellipse, which has the area of the circle.
         p = (x * np.cos(axis_angle) + y * np.sin(axis_angle)) / ratio
         q = (y * np.cos(axis_angle) - x * np.sin(axis_angle)) * ratio
         return np.hypot(p, q) - radius - roughness
