@@ -22,7 +22,8 @@ def sample(image, x, y):
         return np.nan
     j = min(int(x), columns - 2)
     i = min(int(y), rows - 2)
-    u, v = x - j, y - i
+    u = x - j
+    v = y - i
     upper = image[i, j] * (1 - u) + image[i, j + 1] * u
     lower = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
     return upper * (1 - v) + lower * v
@@ -52,7 +53,13 @@ def rise(sums, t, reach):
 
 @njit(cache=True, nogil=True)
 def innermost_edges(image, px, py, sign, cx, cy, low, high, dt, window, rays):  # noqa: C901, PLR0912
-    """Return the radius of the innermost strong edge on each ray (NaN where there is none)."""
+    """Return the radius of the innermost strong edge on each ray (NaN where there is none).
+
+    The mean of the grey over ``window`` um beyond a radius is compared with that before it, at
+    radii from ``low`` to ``high`` um in steps of ``dt``. Strong is what rises by half of the usual
+    highest rise of a ray, which is returned as well; it is 0 where fewer than half of the rays lie
+    in the image.
+    """
     count = int((high + window) / dt) + 2
     reach = max(1, int(round(window / dt)))
     first = max(reach, int(low / dt))
@@ -122,6 +129,10 @@ def half_level_edges(image, px, py, sign, cx, cy, model, search):  # noqa: C901,
     """Give half-level radius, step, wider step and level outside of each ray, or NaN.
 
     They lie within ``search`` of the model.
+
+    ``model`` (n,) and ``search`` are in um, as the radii are. Levels and steps are those of the
+    plateaus on both sides of the edge; the wider step leaves more of the edge out. The half level
+    is half way between the two.
     """
     rays = model.shape[0]
     radii = np.full(rays, np.nan)
@@ -149,7 +160,8 @@ def half_level_edges(image, px, py, sign, cx, cy, model, search):  # noqa: C901,
             sums[t + 1] = sums[t] + values[t]
         if not np.isfinite(sums[count]):
             continue
-        best, top = -np.inf, -1
+        best = -np.inf
+        top = -1
         for t in range(reach, count - reach):
             rises[t] = rise(sums, t, reach)
             best = max(best, rises[t])
@@ -166,7 +178,8 @@ def half_level_edges(image, px, py, sign, cx, cy, model, search):  # noqa: C901,
                 break
         edge = start + top * dt
         inner, outer = _plateaus(image, centre, step, edge, gap, width, dt)
-        inner, outer = sign * inner, sign * outer
+        inner = sign * inner
+        outer = sign * outer
         if not (outer > inner):
             continue
         half = 0.5 * (inner + outer)
@@ -194,6 +207,9 @@ def first_crossings(image, px, py, sign, cx, cy, level, reach, dt, rays):
     """Return the radius where the grey first rises through a level on each ray.
 
     NaN where it does not.
+
+    ``level`` is a grey times ``sign``; ``reach`` and ``dt`` are the farthest radius and the step
+    along a ray, in um.
     """
     radii = np.full(rays, np.nan)
     count = int(reach / dt) + 1
@@ -213,8 +229,15 @@ def first_crossings(image, px, py, sign, cx, cy, level, reach, dt, rays):
 
 @njit(cache=True, nogil=True)
 def levels(image, px, py, sign, cx, cy, radius):
-    """Give inside level, its spread, flatness, outside level and texture around a fitted circle."""
-    rays, rings = 32, 8
+    """Give inside level, its spread, flatness, outside level and texture around a fitted circle.
+
+    ``radius`` in um; levels are greys times ``sign``. Inside is the median of the core, its spread
+    a robust standard deviation, flatness the rise from the middle to near the wall; outside and
+    texture are median and robust standard deviation beyond the char, NaN where little of it is in
+    the image.
+    """
+    rays = 32
+    rings = 8
     pixel = max(px, py)
     core = np.empty(rays * rings)
     wall = np.empty(rays)
@@ -237,7 +260,8 @@ def levels(image, px, py, sign, cx, cy, radius):
         return inside, spread, np.nan, np.nan, np.nan
     level = np.median(around)
     texture = 1.4826 * np.median(np.abs(around - level))
-    total, count = 0.0, 0
+    total = 0.0
+    count = 0
     for k in range(rays):
         for s in range(rings // 4):
             value = core[k * rings + s]
@@ -258,7 +282,8 @@ def fit_outline(radii, order, least_scale):  # noqa: C901, PLR0912
     scale, and the inverse normal matrix. All weights are zero if fewer than a third of the radii
     are there.
     """
-    n, terms = radii.shape[0], 2 * order + 1
+    n = radii.shape[0]
+    terms = 2 * order + 1
     weight = np.zeros(n)
     error = np.empty(n)
     coefficients = np.zeros(terms)
@@ -319,11 +344,16 @@ def waves(error, weight):
     """Variances of one amplitude of waves of ``error`` where ``weight`` is not 0: third and fourth.
 
     Fifth to eighth.
+
+    ``error`` (n,) holds what a fit leaves on rays at equal angles, in um.
     """
     rays = error.shape[0]
-    low, high = 0.0, 0.0
+    low = 0.0
+    high = 0.0
     for order in range(3, 9):
-        a, b, n = 0.0, 0.0, 0
+        a = 0.0
+        b = 0.0
+        n = 0
         for k in range(rays):
             if weight[k] > 0.0:
                 angle = 2 * np.pi * order * k / rays

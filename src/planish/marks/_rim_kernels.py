@@ -22,6 +22,8 @@ def polar_rises(image, px, py, sign, cx, cy, dt, count, reach, rays):
     """Give the rise (rays, count) of the mean outside a radius (of ``dt``) over that inside.
 
     The means are over ``reach`` samples; the rise may be NaN.
+
+    The centre is ``cx, cy`` in um; ``dt`` is the step along a ray, in um.
     """
     rises = np.full((rays, count), np.nan)
     sums = np.empty(count + 1)
@@ -59,9 +61,14 @@ def rim_radius(worth, first, last, least_band, outwards):
     """Return the radius (index) in a range in whose band most rays have an edge.
 
     Also its half band and the share of these rays.
+
+    ``first`` and ``last`` are the range, ``least_band`` is half of the narrowest band, all in steps
+    along a ray; going out by a step costs ``outwards`` of the rays.
     """
     rays, count = worth.shape
-    best, at, half = -np.inf, -1, 0
+    best = -np.inf
+    at = -1
+    half = 0
     for t in range(first, min(last, count - 1) + 1):
         band = max(least_band, int(round(BAND * t)))
         total = 0.0
@@ -71,7 +78,9 @@ def rim_radius(worth, first, last, least_band, outwards):
                 top = max(top, worth[k, s])
             total += top
         if total / rays - outwards * t > best:
-            best, at, half = total / rays - outwards * t, t, band
+            best = total / rays - outwards * t
+            at = t
+            half = band
     return at, half, best + outwards * at
 
 
@@ -80,6 +89,9 @@ def closed_path(worth, first, last):
     """Find the place on each ray of the closed path of most worth between two radii.
 
     By dynamic programming, with both radii included.
+
+    ``worth`` (rays, count) is that of `edge_worth`; ``first`` and ``last`` are in steps along a
+    ray, as the result (rays,) is. Twice around, so that the path has no end at the first ray.
     """
     rays = worth.shape[0]
     count = min(last, worth.shape[1] - 1) + 1 - first
@@ -93,7 +105,8 @@ def closed_path(worth, first, last):
             for s in range(max(0, t - MOST_STEPS), min(count, t + MOST_STEPS + 1)):
                 value = best[s] - SIDEWAYS * abs(t - s)
                 if value > after[t]:
-                    after[t], came[k, t] = value, s
+                    after[t] = value
+                    came[k, t] = s
             after[t] += worth[k % rays, t]
         best, after = after, best
     path = np.zeros(rays, np.int64)
@@ -118,8 +131,13 @@ def floor_middle(image, px, py, sign, cx, cy, radius, level, tolerance):
     """Return the centroid of what is as dark as the floor within a circle.
 
     Its centre where that is nothing.
+
+    The circle is ``cx, cy, radius`` in um. As dark is what differs from ``level``, a grey times
+    ``sign``, by ``tolerance`` at most.
     """
-    total, tx, ty = 0, 0.0, 0.0
+    total = 0
+    tx = 0.0
+    ty = 0.0
     i0, i1 = _window(cy, radius, py, image.shape[0])
     j0, j1 = _window(cx, radius, px, image.shape[1])
     for i in range(i0, i1):
@@ -149,7 +167,8 @@ def darkest_beyond(image, px, py, sign, cx, cy, model, beyond, width):
         step = ray(k, rays, 1.0, px, py)
         # A model that bends to the other side of its centre has no length there.
         count = max(0, int(2 * beyond * model[k] / min(px, py))) + 2
-        total, used = 0.0, 0
+        total = 0.0
+        used = 0
         for t in range(count):
             r = model[k] * (1.0 + beyond * t / (count - 1))
             value = sign * along(image, centre, step, r)
@@ -175,12 +194,17 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
     """Return centroids (n, 2) of what is below a level within a radius, followed until they rest.
 
     NaN if too little.
+
+    ``xs, ys`` (n,) and ``radius`` are in um, ``level`` is a grey times ``sign``.
     """
     out = np.full((xs.size, 2), np.nan)
     for h in range(xs.size):
-        x, y = xs[h], ys[h]
+        x = xs[h]
+        y = ys[h]
         for _turn in range(6):
-            total, tx, ty = 0, 0.0, 0.0
+            total = 0
+            tx = 0.0
+            ty = 0.0
             i0, i1 = _window(y, radius, py, image.shape[0])
             j0, j1 = _window(x, radius, px, image.shape[1])
             for i in range(i0, i1):
@@ -192,10 +216,12 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
                         ty += i * py
             # A hole fills a third of the circle even where the place is poor, or its wall is wide.
             if 3 * total * px * py < np.pi * radius * radius:
-                x, y = np.nan, np.nan
+                x = np.nan
+                y = np.nan
                 break
             shift = np.hypot(tx / total - x, ty / total - y)
-            x, y = tx / total, ty / total
+            x = tx / total
+            y = ty / total
             if shift < 0.2 * max(px, py):
                 break
         out[h] = x, y

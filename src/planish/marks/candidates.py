@@ -44,7 +44,8 @@ class Raster(NamedTuple):
 
     def points_at(self, rows: Ints, cols: Ints) -> Floats:
         """Return the centres (n, 2) of pixels, ``x, y`` in um."""
-        return np.column_stack([cols, rows]) * self.pixel_um[::-1] + self.origin_um
+        places_um = np.column_stack([cols, rows]) * self.pixel_um[::-1]
+        return places_um + self.origin_um
 
 
 def reduce_to(raster: Raster, target_um: float) -> Raster:
@@ -140,7 +141,8 @@ def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels
     counts = -(-np.array(sample.shape) // sides)
     # A square more on every side, so that each has eight around it.
     after = (counts + 1) * sides - sample.shape
-    padded = np.pad(sample, np.stack([sides, after], axis=1), constant_values=np.nan)
+    padding = np.stack([sides, after], axis=1)
+    padded = np.pad(sample, padding, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 3 * sides)
     windows = windows[:: sides[0], :: sides[1]]
     windows = windows.reshape(*counts, -1)
@@ -191,7 +193,8 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
     steps = np.divide(side_um, raster.pixel_um) / SAMPLES
     steps = np.maximum(1, steps.astype(np.intp))
     row_step, col_step = steps
-    deviations = raster.image[::row_step, ::col_step] - _local_mean(raster, diameter_um, steps)
+    mean = _local_mean(raster, diameter_um, steps)
+    deviations = raster.image[::row_step, ::col_step] - mean
     thinned = Raster(deviations, pair_of(steps * raster.pixel_um))
     return local_spread(thinned, side_um, quantile)
 
@@ -225,7 +228,8 @@ def _local_mean(raster: Raster, width_um: float, steps: Ints | None = None) -> I
         last = len(mean) - 1
         places = (np.arange(0, n, step) + 0.5) / factor - 0.5
         places = np.clip(places, 0.0, last)
-        lower = np.minimum(places.astype(np.intp), max(0, last - 1))
+        last_lower = max(0, last - 1)
+        lower = np.minimum(places.astype(np.intp), last_lower)
         fraction = (places - lower).astype(np.float32)[:, None]
         lower_means = mean[lower]
         upper_means = mean[np.minimum(lower + 1, last)]
@@ -237,6 +241,8 @@ def _block_means(image: Image, factors: Ints) -> tuple[Image, Image]:
     """Give the means over whole blocks of pixels, and the share of each block that has data.
 
     ``factors`` are the rows and columns of a block. A mean over nothing is 0.
+
+    Rows and columns that fill no whole block are left out.
     """
     row_factor, col_factor = factors
     rows, cols = image.shape // factors
@@ -276,7 +282,8 @@ def peaks(
     candidates = candidates[np.sort(first_rows)]
     is_strong = _strongest_by_tile(candidates, smallest_radius)
     x, y, _, shares = candidates[is_strong].T
-    return np.stack([x, y], axis=1), shares, int(np.count_nonzero(~is_strong))
+    dropped_count = int(np.count_nonzero(~is_strong))
+    return np.stack([x, y], axis=1), shares, dropped_count
 
 
 def _peaks_of_radius(
@@ -299,7 +306,8 @@ def _peaks_of_radius(
     offsets = product(range(2 * row_reach + 1), range(2 * col_reach + 1))
     for i, j in sorted(offsets, key=partial(math.dist, reach)):
         is_top = image[rows, cols] >= padded[rows + i, cols + j]
-        rows, cols = rows[is_top], cols[is_top]
+        rows = rows[is_top]
+        cols = cols[is_top]
     points = response.points_at(rows, cols)
     heights = image[rows, cols].astype(np.float64)
     faintest_heights = faintest_levels.at_points(points)

@@ -309,8 +309,13 @@ def _measure(
 
 
 def _floors(raster: Raster, detection: _Detection) -> Marks:
-    """Measure the floors that are like those of the holes, also where no rim was searched."""
-    sign, holes = detection.sign, detection.holes
+    """Measure the floors that are like those of the holes, also where no rim was searched.
+
+    As `measure_floors` gives them: those that lie wholly in the image and differ from the holes as
+    little as holes do.
+    """
+    sign = detection.sign
+    holes = detection.holes
     typical = criteria.typical_hole(holes)
     # Greys at which a floor may end: shares of the depth of the holes, the likeliest first.
     depth_shares = np.array([0.2, 0.08, 0.13, 0.27, 0.35])
@@ -360,8 +365,12 @@ _COLUMNS = {
 
 
 def _dataset(holes: Marks, sign: float) -> xr.Dataset:
-    """Make the dataset of `find_holes`; its variables are those of ``_COLUMNS``, in their order."""
-    radius, half = holes.radius, holes.half_difference
+    """Make the dataset of `find_holes`; its variables are those of ``_COLUMNS``, in their order.
+
+    ``sign`` is 1 for dark holes, -1 for bright ones.
+    """
+    radius = holes.radius
+    half = holes.half_difference
     axis_ratio = (radius + half) / (radius - half)
     # Texture below a thousandth of the step is rounding; it would make the ratio meaningless.
     depths = criteria.depth(holes)
@@ -375,7 +384,10 @@ def _dataset(holes: Marks, sign: float) -> xr.Dataset:
 
 
 def _grey(image: ArrayLike) -> Image:
-    """Take an image as float32 in one piece, NaN where it is not finite; MarkError for no grey."""
+    """Take an image as float32 in one piece, NaN where it is not finite; MarkError for no grey.
+
+    The median is taken off real numbers; whole ones and masks stay as they are.
+    """
     grey = np.asarray(image)
     if grey.ndim != 2:
         raise MarkError(

@@ -137,9 +137,11 @@ def is_rare(holes: Marks, signed_sheet: NDArray[np.floating]) -> bool:
 
 def is_round(marks: Marks, pixel_um: Pair) -> Bools:
     """Return which rims are whole, smooth (rms about the ellipse) and nearly circles."""
-    radius, half_difference = marks.radius, marks.half_difference
+    radius = marks.radius
+    half_difference = marks.half_difference
     is_smooth = marks.roughness < 0.09 * radius + 0.3 * max(pixel_um)
-    longer, shorter = radius + half_difference, radius - half_difference
+    longer = radius + half_difference
+    shorter = radius - half_difference
     return is_smooth & (longer < 1.3 * shorter) & (marks.coverage >= 0.7)
 
 
@@ -280,7 +282,8 @@ def typical_hole(marks: Marks) -> TypicalHole:
     fitted_slope = _slope(clear_marks.outside, clear_marks.inside)
     fitted_scatter = mad_sd(floor_levels - fitted_slope * sheet_levels)
     if fitted_scatter < 0.5 * scatter:
-        slope, scatter = fitted_slope, fitted_scatter
+        slope = fitted_slope
+        scatter = fitted_scatter
     floors_of_one_sheet = floor_levels - slope * (sheet_levels - sheet_level)
     floor_level = float(np.median(floors_of_one_sheet))
     return TypicalHole(
@@ -298,6 +301,8 @@ def _slope(x: Floats, y: Floats) -> float:
     """Fit the resistant line through the medians of the outer thirds (Tukey).
 
     Gives a slope from 0 to 1, 0 for few points.
+
+    ``x`` and ``y`` (n,) are levels of the sheet around and of the floor.
     """
     third = len(x) // 3
     if third < 3:
@@ -361,7 +366,10 @@ def is_doubtful(marks: Marks) -> Bools:
 
 
 def select_resembling(marks: Marks, holes: Marks, pixel_um: Pair) -> Marks:
-    """Of floors that were measured keep the round ones that are like those of the holes."""
+    """Of floors that were measured keep the round ones that are like those of the holes.
+
+    Of those that overlap the deepest is kept; ``pixel_um`` is ``(y, x)``.
+    """
     typical = typical_hole(holes)
     with np.errstate(invalid="ignore"):
         is_similar = is_round(marks, pixel_um) & ~is_open(marks)
@@ -411,7 +419,8 @@ def set_covariance(marks: Marks, pixel_um: Pair) -> None:
     """
     if not len(marks):
         return
-    low, high = marks.low_waves, marks.high_waves
+    low = marks.low_waves
+    high = marks.high_waves
     mean_low = np.mean(low)
     mean_high = max(float(np.mean(high)), 1e-30)
     wave_ratio = np.clip(mean_low / mean_high, 1.0, 8.0)

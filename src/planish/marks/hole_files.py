@@ -201,7 +201,10 @@ def _checked_suffix(file: Path) -> str:
 
 
 def _plain(value: Any, where: str, faults: list[str]) -> Any:
-    """Turn a value into what JSON has; what has no place there is a fault."""
+    """Turn a value into what JSON has; what has no place there is a fault.
+
+    ``where`` says in ``faults`` what the value belongs to. NaN becomes None.
+    """
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -39,11 +39,13 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
     for rows, cols in _border_regions(image, grid, centres_of(holes), radii_um):
         pixels_um = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
         x, y = pixels_um.mean(axis=0).tolist()
-        radius_um = float(np.hypot(*(pixels_um - (x, y)).T).max())
+        offset_x, offset_y = (pixels_um - (x, y)).T
+        radius_um = float(np.hypot(offset_x, offset_y).max())
         # The ground beside a sheet is no hole, and its circle covers the sheet.
         if radius_um <= 2 * radii_um.max():
             circles.append((x, y, 2 * radius_um))
-    columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
+    rows_um = np.array(circles, dtype=np.float64)
+    columns = rows_um.reshape(-1, 3).T
     named = zip(("x", "y", "diameter"), columns, strict=True)
     return xr.Dataset({name: ("mark", column, {"units": "um"}) for name, column in named})
 
@@ -54,10 +56,13 @@ def _border_regions(
     """Yield rows and columns of what touches the border and is nearer to holes than to the sheet.
 
     It is beyond half way from the sheet to the floor of holes; nothing where there are none.
+    ``centres`` (n, 2) are x, y of whole holes, in um.
     """
     if not len(radii_um):
         return
-    inner_mask, outer_mask = (hole_mask(grid, centres, factor * radii_um) for factor in (0.6, 1.5))
+    # Inside the rim, and outside the char.
+    inner_mask = hole_mask(grid, centres, 0.6 * radii_um)
+    outer_mask = hole_mask(grid, centres, 1.5 * radii_um)
     _, (greys, inner_mask, outer_mask) = thinned(image, inner_mask, outer_mask)
     floor = _median(greys[inner_mask])
     sheet = _median(greys[~outer_mask])
@@ -67,7 +72,7 @@ def _border_regions(
     for _, (band,) in read_bands(image):
         depth_shares = (band.astype(np.float64) - sheet) / (floor - sheet)
         is_beyond.append(np.isfinite(band) & (depth_shares > 0.5))
-    labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
+    labels, _ = ndimage.label(np.concatenate(is_beyond))
     border_labels = np.union1d(labels[[0, -1]], labels[:, [0, -1]])
     row_um, col_um = grid.pixel_um
     least_um2 = 0.1 * np.pi * float(np.median(radii_um)) ** 2
@@ -127,7 +132,8 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
     padded = np.pad(is_dark | ~has_data, 1, constant_values=True)
     depth_um = np.asarray(ndimage.distance_transform_edt(padded, sampling=coarse_um))
-    hole_cores = is_dark & (depth_um[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(coarse_um))
+    depth_um = depth_um[1:-1, 1:-1]
+    hole_cores = is_dark & (depth_um >= least_um / 2 - 0.5 * max(coarse_um))
     # A hole grows back beyond the discs in it: its rim stays as it is.
     reach_um = least_um / 2 + 1.5 * max(coarse_um)
     is_hole = hole_cores
@@ -142,4 +148,5 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
         coarse = np.arange(greys.shape[axis]) // factor
         nearest_coarse.append(np.minimum(coarse, is_dot.shape[axis] - 1))
     paper_grey = np.median(coarse_greys[has_data & ~is_dark])
-    return np.where(is_dot[np.ix_(*nearest_coarse)] & np.isfinite(greys), paper_grey, greys)
+    is_dot = is_dot[np.ix_(*nearest_coarse)]
+    return np.where(is_dot & np.isfinite(greys), paper_grey, greys)

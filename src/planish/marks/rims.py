@@ -237,7 +237,8 @@ def measure_floors(
                 model = outline.ellipse
         if least < np.inf:
             mark: np.record = marks[k]
-            _, steps, _, nears = half_level_edges(*picture, *mark.centre, model, picture.near)
+            edges = half_level_edges(*picture, *mark.centre, model, picture.near)
+            _, steps, _, nears = edges
             mark.burnt = mark.outside - _median(nears)
             _set_doubt(mark, picture, mark.centre, steps)
     return marks
@@ -376,7 +377,8 @@ def _is_inside(closed: _Outline, rim: _Outline, least: float) -> bool:
     Its radius has to be above the ``least``, in um.
     """
     # As far as a shift of the centre goes, the two are compared on the same ray.
-    dx, dy = closed.x - rim.x, closed.y - rim.y
+    dx = closed.x - rim.x
+    dy = closed.y - rim.y
     shift = dx * _COS + dy * _SIN
     distances = rim.radii - (closed.radii + shift)
     rim_radius = rim.fit[0]
@@ -479,7 +481,11 @@ def _set_doubt(mark: np.record, picture: _Picture, other: Sequence[float], steps
 
 
 def _write_outline(mark: np.record, outline: _Outline) -> None:
-    """Write centre and size, share of the rim that is there, and how rough it is, into a mark."""
+    """Write centre and size, share of the rim that is there, and how rough it is, into a mark.
+
+    Covariance and waves are not yet those of the result: `hole_criteria.set_covariance` scales
+    them.
+    """
     radius, dx, dy, cos_part, sin_part = outline.fit
     is_used = outline.weight > 0.0
     # The radii are about the centre before the last step, so the shift is a part of the model.

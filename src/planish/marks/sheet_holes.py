@@ -105,7 +105,8 @@ def find_sheet_holes(
     for layer, share in layers.items():
         # A tapered hole is narrower, or wider, on the other side than what was asked for.
         spare = 1.0 if layer == side else 1.4
-        layers[layer], holes[layer] = _search(share, pixel_um, (low / spare, high * spare))
+        searched_range = (low / spare, high * spare)
+        layers[layer], holes[layer] = _search(share, pixel_um, searched_range)
     faces = maps.get("presence_faces")
     face_holes = _by_faces(faces, holes[side], pixel_um, diameter_range)
     if faces is None or face_holes is None:
@@ -124,11 +125,16 @@ def find_sheet_holes(
     least_um = 0.6 * float(np.median(diameters))
     openings = _openings(layers[side], pixel_um, centres, least_um)
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
-    layer_holes = _by_layer(holes, {side: np.arange(len(centres)), **partner_rows})
-    offsets = [layer_holes[f"{k}_bottom"].values - layer_holes[f"{k}_top"].values for k in "xy"]
-    statistics, to_face_um = _offset_statistics(np.stack(offsets, axis=1), maps, side)
+    own_rows = np.arange(len(centres))
+    layer_holes = _by_layer(holes, {side: own_rows, **partner_rows})
+    top_um, bottom_um = (
+        np.stack([layer_holes[f"{axis}_{layer}"].values for axis in "xy"], axis=1)
+        for layer in ("top", "bottom")
+    )
+    offsets_um = bottom_um - top_um
+    statistics, to_face_um = _offset_statistics(offsets_um, maps, side)
     out = _shifted(holes[side], to_face_um).merge(layer_holes, combine_attrs="override")
-    for name, offset_um, where in zip("xy", offsets, _DIRECTIONS, strict=True):
+    for name, offset_um, where in zip("xy", offsets_um.T, _DIRECTIONS, strict=True):
         attrs = {"units": "um", "long_name": f"Offset from the top to the bottom {where}"}
         out[f"offset_{name}"] = ("mark", offset_um, attrs)
     states_attrs = {
@@ -138,14 +144,9 @@ def find_sheet_holes(
     }
     out["other_side"] = ("mark", states, states_attrs)
     counts = np.bincount(states, minlength=3).tolist()
-    out.attrs |= {
-        "side": side,
-        "layers": list(layers),
-        "openings": openings,
-        **dict(zip(OTHER_SIDE, counts, strict=True)),
-        "other_side_only": single_count,
-        **statistics,
-    }
+    state_counts = dict(zip(OTHER_SIDE, counts, strict=True))
+    out.attrs |= {"side": side, "layers": list(layers), "openings": openings}
+    out.attrs |= state_counts | {"other_side_only": single_count} | statistics
     return out
 
 
@@ -169,7 +170,9 @@ def _in_other_layers(
 ) -> tuple[dict[str, Ints], NDArray[np.uint8], int]:
     """Row of each hole of a side in the other layers, and its state on the other side.
 
-    Also how many holes of the other side have no partner.
+    By the layers' names: ``layers`` are shares of material (rows, cols), ``holes`` those found in
+    them, the rows are -1 where a hole has no partner. Also gives how many holes of the other side
+    have none.
     """
     centres = centres_of(holes[side])
     # From one layer to another a hole moves by less than half its diameter: one that is more
@@ -183,14 +186,15 @@ def _in_other_layers(
         return partner_rows, np.full(len(centres), UNCLEAR, dtype=np.uint8), 0
     rows = partner_rows[other]
     states = _other_side(layers[other], pixel_um, holes[side], holes[other], rows)
-    single_count = holes[other].sizes["mark"] - int(np.count_nonzero(rows >= 0))
+    partner_count = int(np.count_nonzero(rows >= 0))
+    single_count = holes[other].sizes["mark"] - partner_count
     return partner_rows, states, single_count
 
 
 def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats, xr.Dataset]:
     """Find the holes of a layer; without its noise, where that shows more of them.
 
-    Returns the layer used, and them.
+    Returns the layer used, (rows, cols), and them.
     """
     holes = find_holes(share, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
     if holes.sizes["mark"] and not holes.attrs["not_taken"]["no_rim"]:
@@ -206,8 +210,10 @@ def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats
 def _smooth_holes(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats, xr.Dataset]:
     """Take the noise out of a layer; give it and its holes."""
     has_data = np.isfinite(share)
-    sums, weights = masked_gaussian(share, has_data, [NOISE_UM / step for step in pixel_um])
-    smooth = np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
+    sigmas = [NOISE_UM / step for step in pixel_um]
+    sums, weights = masked_gaussian(share, has_data, sigmas)
+    weights[~has_data] = np.nan
+    smooth = sums / weights
     holes = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
     return smooth, holes
 
@@ -233,7 +239,11 @@ def _other_side(
     partners: xr.Dataset,
     partner_rows: Ints,
 ) -> NDArray[np.uint8]:
-    """What the other side shows of each hole, of which some have partners there."""
+    """What the other side shows of each hole, as one of `THROUGH`, `CLOSED` and `UNCLEAR`.
+
+    ``material`` (rows, cols) is the share of material there, ``partners`` are the holes found
+    there, and ``partner_rows`` (n,) the partner of each hole, -1 for none.
+    """
     is_through = partner_rows >= 0
     centres = centres_of(holes)
     states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
@@ -244,46 +254,54 @@ def _other_side(
         offset = np.median(moves, axis=0)
     grid = Grid.regular(material.shape, pixel_um)
     for k in np.flatnonzero(~is_through).tolist():
+        # The middle half of a hole is clear of its rim.
         radius_um = 0.25 * float(holes["diameter"].values[k])
         x, y = centres[k] + offset
         dy = grid.y_um - y
         dx = grid.x_um - x
         rows = np.flatnonzero(np.abs(dy) <= radius_um)
         cols = np.flatnonzero(np.abs(dx) <= radius_um)
-        distances = np.hypot(dy[rows][:, None], dx[cols])
+        is_middle = np.hypot(dy[rows][:, None], dx[cols]) <= radius_um
         shares = material[np.ix_(rows, cols)].astype(np.float64)
-        shares = shares[(distances <= radius_um) & np.isfinite(shares)]
+        shares = shares[is_middle & np.isfinite(shares)]
         if shares.size and np.median(shares) > MATERIAL:
             states[k] = CLOSED
     return states
 
 
 def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[Entries, Floats]:
-    """Summarise offsets from top to bottom as attributes, and give the move from layer to face."""
+    """Summarise offsets from top to bottom as attributes, and give the move from layer to face.
+
+    ``offsets`` (n, 2) and the move (2,) are x, y in um; NaN where a hole is not on both sides.
+    """
     measured = offsets[are_known(offsets)]
+    count = len(measured)
     offset_um = spread_um = np.full(2, np.nan)
-    if len(measured):
+    if count:
         offset_um = np.median(measured, axis=0)
-    if len(measured) > 1:
-        spread_um = MAD_TO_SD * np.median(np.abs(measured - offset_um), axis=0)
+    if count > 1:
+        deviations = np.abs(measured - offset_um)
+        spread_um = MAD_TO_SD * np.median(deviations, axis=0)
     # The error of a median over that of a mean.
-    error_um = 1.2533 * spread_um / np.sqrt(max(len(measured), 1))
+    error_um = 1.2533 * spread_um / np.sqrt(max(count, 1))
     to_face_um = np.zeros(2)
     # The median offset of fewer holes is no better than none; it counts from three standard errors.
-    is_significant = len(measured) >= 4 and np.hypot(*offset_um) > 3.0 * np.hypot(*error_um)
+    is_significant = count >= 4 and np.hypot(*offset_um) > 3.0 * np.hypot(*error_um)
     if is_significant and maps.attrs.get("layer_to_face"):
         face_share = float(maps.attrs["layer_to_face"])
         to_face_um = (-face_share if side == "top" else face_share) * offset_um
-    statistics = {
-        "offset_count": len(measured),
-        "offset_um": offset_um.tolist(),
-        "offset_spread_um": spread_um.tolist(),
-        "offset_error_um": error_um.tolist(),
-        "to_face_um": to_face_um.tolist(),
+    arrays = {
+        "offset_um": offset_um,
+        "offset_spread_um": spread_um,
+        "offset_error_um": error_um,
+        "to_face_um": to_face_um,
     }
     thickness_um = maps.attrs.get("layers_apart_um")
     if thickness_um is not None:
-        statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset_um, thickness_um)).tolist()
+        arrays["tilt_deg"] = np.rad2deg(np.arctan2(offset_um, thickness_um))
+    statistics: Entries = {"offset_count": count}
+    for name, pair in arrays.items():
+        statistics[name] = pair.tolist()
     return statistics, to_face_um
 
 
@@ -301,18 +319,22 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
     if np.isfinite(offset).all():
         text = (
             f"{attrs['offset_count']} holes run through the sheet, shifted by"
-            f" {np.hypot(*offset):.1f} um from its"
+            f" {np.hypot(*offset):.1f} um from its upper to its lower third"
         )
-        text += " upper to its lower third"
-        text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
+        if np.isfinite(error).all():
+            rms_um = np.sqrt(np.mean(error**2))
+            text += f" (± {rms_um:.1f} um)"
+        text += "."
     closed = attrs["closed"]
     if closed:
-        text += f" {closed} {'is' if closed == 1 else 'are'} closed on the other side."
+        verb = "is" if closed == 1 else "are"
+        text += f" {closed} {verb} closed on the other side."
     facts = {k: v for k, v in attrs.items() if k in HoleTiltFacts.model_fields}
     return HoleTiltFacts.model_validate({**facts, "sentence": text})
 
 
 def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
+    """Move holes by an offset (x, y), in um."""
     dx, dy = offset
     x = holes["x"].copy(data=holes["x"].values + dx)
     y = holes["y"].copy(data=holes["y"].values + dy)
@@ -322,39 +344,47 @@ def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
 def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
     """Return the candidate's row of each hole, -1 for none.
 
-    Hole and candidate are each the other's nearest, and within reach.
+    Hole and candidate are each the other's nearest, and within ``reach`` (n,), one for each hole.
     """
     rows = np.full(len(centres), -1)
     if not len(centres) or not len(candidate_centres):
         return rows
-    nearest = np.asarray(KDTree(candidate_centres).query(centres)[1])
-    reverse_nearest = np.asarray(KDTree(centres).query(candidate_centres)[1])
-    distances = np.hypot(*(candidate_centres[nearest] - centres).T)
-    is_mutual = (reverse_nearest[nearest] == np.arange(len(centres))) & (distances <= reach)
-    rows[is_mutual] = nearest[is_mutual]
+    distances, nearest = map(np.asarray, KDTree(candidate_centres).query(centres))
+    _, reverse_nearest = KDTree(centres).query(candidate_centres)
+    is_mutual = np.asarray(reverse_nearest)[nearest] == np.arange(len(centres))
+    is_partner = is_mutual & (distances <= reach)
+    rows[is_partner] = nearest[is_partner]
     return rows
 
 
 def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least_um: float) -> int:
     """Count openings away from the border that are large enough and hold no hole.
 
-    Large enough is as large as a circle of a diameter, or larger.
+    ``share`` (rows, cols) is that of material; ``centres`` (n, 2) are those of the holes, x and y
+    in um from the first pixel. Large enough is as large as a circle of a diameter, or larger.
     """
     material = share.astype(np.float64)
     has_data = np.isfinite(material)
-    regions = np.asarray(ndimage.label((material < MATERIAL) | ~has_data)[0])
-    sizes = np.bincount(regions.ravel()) * pixel_um[0] * pixel_um[1]
+    regions, _ = ndimage.label((material < MATERIAL) | ~has_data)
+    row_um, col_um = pixel_um
+    sizes = np.bincount(regions.ravel()) * row_um * col_um
+    # What touches the border or missing data may be the ground beside the sheet.
     sizes[regions[[0, -1]]] = 0.0
     sizes[regions[:, [0, -1]]] = 0.0
     sizes[regions[~has_data]] = 0.0
     places = np.rint(centres[:, ::-1] / pixel_um).astype(np.intp)
-    rows, cols = np.clip(places, 0, np.subtract(share.shape, 1)).T
+    last = np.subtract(share.shape, 1)
+    rows, cols = np.clip(places, 0, last).T
     sizes[regions[rows, cols]] = 0.0
-    return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
+    is_large = sizes[1:] > np.pi / 4 * least_um**2
+    return int(np.count_nonzero(is_large))
 
 
 def _by_layer(holes: dict[str, xr.Dataset], layer_rows: dict[str, Ints]) -> xr.Dataset:
-    """Collect each layer's variables of the holes, NaN where a hole is missing."""
+    """Collect each layer's variables of the holes, NaN where a hole is missing.
+
+    ``layer_rows`` says for each hole of the side its row in the holes of a layer, -1 for none.
+    """
     variables: dict[str, tuple[str, Floats, dict[str, str]]] = {}
     template = next(iter(holes.values()))
     all_missing = np.full(max(map(len, layer_rows.values())), -1)
@@ -364,6 +394,7 @@ def _by_layer(holes: dict[str, xr.Dataset], layer_rows: dict[str, Ints]) -> xr.D
             attrs = dict(template[name].attrs)
             attrs["long_name"] += f", {place_text}"
             # The last row is that of the holes that are missing, -1.
-            column = np.append(holes.get(layer, template)[name].values, np.nan)[rows]
+            values = holes.get(layer, template)[name].values
+            column = np.append(values, np.nan)[rows]
             variables[f"{name}_{layer}"] = ("mark", column, attrs)
     return xr.Dataset(variables)

@@ -13,10 +13,13 @@ def add_thin_plate(at, nodes, bend, out):
     R_i: distance from node i.
     """
     for k in range(at.shape[0]):
-        x, y = at[k, 0], at[k, 1]
-        u, v = 0.0, 0.0
+        x = at[k, 0]
+        y = at[k, 1]
+        u = 0.0
+        v = 0.0
         for i in range(nodes.shape[0]):
-            dx, dy = x - nodes[i, 0], y - nodes[i, 1]
+            dx = x - nodes[i, 0]
+            dy = y - nodes[i, 1]
             square = dx * dx + dy * dy
             if square > 0.0:
                 value = 0.5 * square * np.log(square)

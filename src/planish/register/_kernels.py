@@ -25,22 +25,27 @@ def count_near(a, b, base, first, start, target, raster, share):
     x0, y0, size, near = raster
     rows, columns = near.shape
     flat = near.ravel()
-    last_x, last_y = columns - 0.5, rows - 0.5
+    last_x = columns - 0.5
+    last_y = rows - 0.5
     n = a.size
     counts = np.zeros(start[-1], np.uint16)
     best = 0
     for p in range(base.shape[0]):
-        za, zb = a[base[p, 0]], a[base[p, 1]]
+        za = a[base[p, 0]]
+        zb = a[base[p, 1]]
         inverse = 1.0 / (zb - za)
         for h in range(start[p], start[p + 1]):
             half = (h - start[p]) // 2
             turned = (h - start[p]) % 2
             pair = target[first[p] + half]
-            wa, wb = b[pair[turned]], b[pair[1 - turned]]
+            wa = b[pair[turned]]
+            wb = b[pair[1 - turned]]
             alpha = (wb - wa) * inverse
             beta = 0.5 * (wa + wb) - alpha * 0.5 * (za + zb)
-            ar, ai = alpha.real / size, alpha.imag / size
-            br, bi = (beta.real - x0) / size, (beta.imag - y0) / size
+            ar = alpha.real / size
+            ai = alpha.imag / size
+            br = (beta.real - x0) / size
+            bi = (beta.imag - y0) / size
             count = 0
             spare = n - int(share * best)
             for s in range(n):
@@ -81,7 +86,8 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
     alpha, gamma, beta : (h,)
     power : (h,), in um2
     """
-    n, total = a.size, seeds.shape[0]
+    n = a.size
+    total = seeds.shape[0]
     x0, y0, size, rows, columns = raster
     partner = np.full((total, n), -1, np.int32)
     squares = np.full((total, n), np.inf)
@@ -89,9 +95,12 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
     powers = np.zeros(total)
     owner = np.empty(b.size, np.int32)
     for h in range(total):
-        mine, off = partner[h], squares[h]
-        za, zb = a[seeds[h, 0]], a[seeds[h, 1]]
-        wa, wb = b[seeds[h, 2]], b[seeds[h, 3]]
+        mine = partner[h]
+        off = squares[h]
+        za = a[seeds[h, 0]]
+        zb = a[seeds[h, 1]]
+        wa = b[seeds[h, 2]]
+        wb = b[seeds[h, 3]]
         alpha = (wb - wa) / (zb - za)
         gamma = 0j
         beta = 0.5 * (wa + wb) - alpha * 0.5 * (za + zb)
@@ -104,16 +113,19 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
             count = 0
             for s in range(n):
                 w = alpha * a[s] + gamma * a[s].conjugate() + beta
-                fx, fy = (w.real - x0) / size, (w.imag - y0) / size
+                fx = (w.real - x0) / size
+                fy = (w.imag - y0) / size
                 if fx < 0.0 or fy < 0.0 or fx >= columns or fy >= rows:
                     continue
                 cell = int(fy) * columns + int(fx)
-                t, d = -1, reaches[turn] ** 2
+                t = -1
+                d = reaches[turn] ** 2
                 for place in range(start[cell], start[cell + 1]):
                     other = b[index[place]] - w
                     apart = other.real**2 + other.imag**2
                     if apart <= d:
-                        t, d = index[place], apart
+                        t = index[place]
+                        d = apart
                 if t < 0:
                     continue
                 if owner[t] >= 0:
@@ -122,28 +134,38 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
                     mine[owner[t]] = -1
                     off[owner[t]] = np.inf
                     count -= 1
-                owner[t], mine[s], off[s] = s, t, d
+                owner[t] = s
+                mine[s] = t
+                off[s] = d
                 count += 1
             if turn == reaches.size - 1 or count < 2:
                 break
             weight = np.zeros(n)
-            sums, zm, wm = 0.0, 0j, 0j
+            sums = 0.0
+            zm = 0j
+            wm = 0j
             for s in range(n):
                 if mine[s] >= 0:
                     weight[s] = 1.0 / (1.0 + off[s] / soft) if turn > 0 else 1.0
                     sums += weight[s]
                     zm += weight[s] * a[s]
                     wm += weight[s] * b[mine[s]]
-            zm, wm = zm / sums, wm / sums
-            power, twist, along, across = 0.0, 0j, 0j, 0j
+            zm = zm / sums
+            wm = wm / sums
+            power = 0.0
+            twist = 0j
+            along = 0j
+            across = 0j
             for s in range(n):
                 if mine[s] >= 0:
-                    z, w = a[s] - zm, b[mine[s]] - wm
+                    z = a[s] - zm
+                    w = b[mine[s]] - wm
                     power += weight[s] * (z.real**2 + z.imag**2)
                     twist += weight[s] * z * z
                     along += weight[s] * z.conjugate() * w
                     across += weight[s] * z * w
-            alpha, gamma = 0j, 0j
+            alpha = 0j
+            gamma = 0j
             if power > 0.0:
                 alpha = along / power
                 if count > 3:
@@ -153,5 +175,8 @@ def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):  # noqa: C9
             beta = wm - alpha * zm - gamma * zm.conjugate()
             if power == 0.0:
                 break
-        factors[0, h], factors[1, h], factors[2, h], powers[h] = alpha, gamma, beta, power
+        factors[0, h] = alpha
+        factors[1, h] = gamma
+        factors[2, h] = beta
+        powers[h] = power
     return partner, squares, factors[0], factors[1], factors[2], powers

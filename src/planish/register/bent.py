@@ -31,7 +31,8 @@ def lay_out_arrays(holder: Any) -> None:
     for name in (f.name for f in fields(holder)):
         values = getattr(holder, name)
         if isinstance(values, np.ndarray):
-            object.__setattr__(holder, name, np.array(values, dtype=np.float64, order="C"))
+            laid_out = np.array(values, dtype=np.float64, order="C")
+            object.__setattr__(holder, name, laid_out)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,7 +78,8 @@ class Bent(NearSimilarity):
     def _parts(self, scaled_points: Floats) -> list[slice]:
         """Points at once, so that their distances from the nodes fit into the cache."""
         step = max(1, (1 << 18) // len(self.nodes))
-        return [slice(k, k + step) for k in range(0, len(scaled_points), step)]
+        starts = range(0, len(scaled_points), step)
+        return [slice(k, k + step) for k in starts]
 
     def add_bends(self, scaled_points: Floats, out: Floats) -> None:
         """Add the local changes at scaled points (n, 2) to ``out`` (n, 2), in um."""
@@ -89,8 +91,9 @@ class Bent(NearSimilarity):
 
     def _offsets(self, scaled_points: Floats) -> tuple[Floats, Floats]:
         """Differences of points from all nodes along x and y, (points, nodes) each."""
-        x, y = (scaled_points[:, None, i] - self.nodes[:, i] for i in range(2))
-        return x, y
+        x, y = scaled_points.T
+        node_x, node_y = self.nodes.T
+        return x[:, None] - node_x, y[:, None] - node_y
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``.
@@ -99,7 +102,7 @@ class Bent(NearSimilarity):
         """
         points_um = np.asarray(points, dtype=np.float64)
         scaled_points = (points_um.reshape(-1, 2) - self.source) / self.size
-        out = np.broadcast_to(self.affine[1:].T, (len(scaled_points), 2, 2)).copy()
+        out = np.tile(self.affine[1:].T, (len(scaled_points), 1, 1))
         for part in self._parts(scaled_points):
             x, y = self._offsets(scaled_points[part])
             squares = x**2 + y**2
@@ -108,7 +111,8 @@ class Bent(NearSimilarity):
                     slopes = slope(squares)
                     out[part, :, 0] += (slopes * x) @ bend
                     out[part, :, 1] += (slopes * y) @ bend
-        return (out / self.size).reshape(*points_um.shape[:-1], 2, 2)
+        slopes = out / self.size  # a point's coordinates are scaled by its inverse
+        return slopes.reshape(*points_um.shape, 2)
 
     @property
     def inverse(self) -> Callable[[ArrayLike], Floats]:
@@ -123,15 +127,19 @@ class _Inverse:
     """The inverse of a bent map; where Newton's method begins is worked out once."""
 
     def __init__(self, bent: Bent) -> None:
-        """Work out the images of a grid about the nodes, at which the search begins."""
+        """Work out the images of a grid about the nodes, at which the search begins.
+
+        The images, derivatives and a tree of the images are kept for all later calls.
+        """
         from scipy.spatial import KDTree
 
         nodes = bent.nodes * bent.size + np.array(bent.source)
         low = nodes.min(axis=0)
         high = nodes.max(axis=0)
         self.bent = bent
-        self.around = float(np.max(high - low))
-        self.low, self.high = low - self.around, high + self.around
+        self.around = float(np.max(high - low))  # um
+        self.low = low - self.around
+        self.high = high + self.around
         # The inverse begins at the nearest image of a grid that reaches one extent of the marks
         # beyond them.
         axes = np.linspace(self.low, self.high, 49).T
@@ -151,14 +159,23 @@ class _Inverse:
         return sources
 
     def _newton(self, targets: Floats) -> Floats:
-        """Sources (n, 2) of target points, in um; NaN where the steps lead nowhere."""
+        """Sources (n, 2) of target points, in um; NaN where the steps lead nowhere.
+
+        Steps are at most an eighth of the extent of the marks. Of a map that is affine far from the
+        marks, the search begins at the inverse of that beyond the grid. A step that does not help
+        is tried at a quarter of its length; a point is given up where that does not help either.
+        """
         bent = self.bent
-        nearest = np.asarray(self.tree.query(targets)[1])
+        longest = 0.125 * self.around  # of a step: farther off, the derivatives are others
+        _, nearest = self.tree.query(targets)
+        nearest = np.asarray(nearest)
         starts = self.grid[nearest]
         step = _solve(self.slopes[nearest], self.images[nearest] - targets)
-        sources = starts - np.clip(step, -0.125 * self.around, 0.125 * self.around)
+        sources = starts - np.clip(step, -longest, longest)
         if bent.everywhere:
-            is_edge = np.any((starts == self.low) | (starts == self.high), axis=1)
+            # Beyond the grid the map is affine, and so is its inverse.
+            is_border = (starts == self.low) | (starts == self.high)
+            is_edge = is_border.any(axis=1)
             to_scaled = np.linalg.inv(bent.affine[1:])
             scaled = (targets[is_edge] - bent.affine[0]) @ to_scaled
             sources[is_edge] = scaled * bent.size + bent.source
@@ -172,7 +189,7 @@ class _Inverse:
                 step = _solve(bent.jacobian(active_sources), error[active])
             # Far from the answer a whole step may overshoot a bend.
             length = np.linalg.norm(step, axis=1, keepdims=True)
-            step *= np.minimum(1.0, 0.125 * self.around / np.maximum(length, 1e-300))
+            step *= np.minimum(1.0, longest / np.maximum(length, 1e-300))
             start_errors = np.linalg.norm(error[active], axis=1)
             is_better = np.zeros(active.size, bool)
             # Where the whole step does not help, a quarter of it may.
@@ -194,7 +211,8 @@ class _Inverse:
                 break
         is_lost = np.linalg.norm(error, axis=1) > 100 * tolerance
         if not bent.everywhere:
-            is_lost |= np.any((sources < self.low) | (sources > self.high), axis=1)
+            is_beyond = (sources < self.low) | (sources > self.high)
+            is_lost |= is_beyond.any(axis=1)
         sources[is_lost] = np.nan
         return sources
 
@@ -226,7 +244,7 @@ class LocalStrain(NamedTuple):
     @property
     def largest(self) -> float:
         """Largest strain without its sign."""
-        return max(abs(self.stretch[0]), abs(self.stretch[1]))
+        return max(map(abs, self.stretch))
 
 
 def determinants(matrices: Floats) -> Floats:
@@ -236,17 +254,20 @@ def determinants(matrices: Floats) -> Floats:
 
 
 def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
-    """Strain at the marks and on a grid in their hull.
+    """Strain at the marks (n, 2), of the moving map in um, and on a grid in their hull.
 
-    CannotRegister where the map folds or its hand is wrong.
+    ``mirrored``: whether the transformation changes the hand. CannotRegister where the map folds or
+    its hand is wrong.
     """
     worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):
         return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=pair_of(worst_place))
+    # An affine map is strained alike everywhere.
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     jacobians = transform.jacobian(points)
     areas = (-1.0 if mirrored else 1.0) * determinants(jacobians)
-    worst = np.argmin(np.where(np.isfinite(areas), areas, -np.inf))
+    known_areas = np.where(np.isfinite(areas), areas, -np.inf)
+    worst = np.argmin(known_areas)
     if not areas[worst] > 0:
         if isinstance(transform, Affine):
             raise CannotRegister(
@@ -259,13 +280,13 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
             " Check the pairs there; if they are right, fit a model with fewer parameters."
         )
     mean = float(np.mean(areas))
-    stretches = np.linalg.svd(jacobians, compute_uv=False) / np.sqrt(mean) - 1.0
+    lengths = np.linalg.svd(jacobians, compute_uv=False)
+    stretches = lengths / np.sqrt(mean) - 1.0
     if len(points) > 1:
         largest = np.abs(stretches).max(axis=1)
         worst_place = points[np.argmax(largest)]
-    return LocalStrain(
-        area=range_of(areas / mean), stretch=range_of(stretches), at_um=pair_of(worst_place)
-    )
+    stretch = range_of(stretches)
+    return LocalStrain(range_of(areas / mean), stretch, pair_of(worst_place))
 
 
 def range_of(numbers: Floats) -> Pair:
@@ -280,11 +301,14 @@ def inside(marks: Floats, steps: int = 65) -> Floats:
     """
     from scipy.spatial import Delaunay, QhullError
 
-    axes = np.linspace(marks.min(axis=0), marks.max(axis=0), steps).T
+    low = marks.min(axis=0)
+    high = marks.max(axis=0)
+    axes = np.linspace(low, high, steps).T
     grid = grid_points(*axes).reshape(-1, 2)
     middle = marks.mean(axis=0)
     try:
         hull = Delaunay(marks - middle)
     except QhullError:  # all on a line, or fewer than three
         return marks
-    return np.concatenate([marks, grid[hull.find_simplex(grid - middle) >= 0]])
+    is_inside = hull.find_simplex(grid - middle) >= 0
+    return np.concatenate([marks, grid[is_inside]])

@@ -3,17 +3,15 @@
 A similarity, an affine deviation and a smooth random field, averaged.
 
 The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers.
-Nothing is known
-beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random: their variances
-are one of a few
-ratios to that of the marks, and ``h`` has one of nine covariances. Each of these assumptions is
-weighted by its
-restricted likelihood (Patterson and Thompson 1971, Biometrika 58, 545,
-doi:10.1093/biomet/58.3.545), so that no single
-guess of size or length has to be right (Handcock and Stein 1993, Technometrics 35, 403,
-doi:10.1080/00401706.1993.10485354; Rasmussen and Williams 2006, Gaussian Processes for Machine
-Learning, sections 2.2,
-2.7 and 5.4).
+Nothing is known beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random:
+their variances are one of a few ratios to that of the marks, and ``h`` has one of nine covariances.
+Each of these assumptions is weighted by its restricted likelihood (Patterson and Thompson 1971,
+Biometrika 58, 545, doi:10.1093/biomet/58.3.545), so that no single guess of size or length has to
+be right (Handcock and Stein 1993, Technometrics 35, 403, doi:10.1080/00401706.1993.10485354;
+Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.2, 2.7 and 5.4).
+
+Axes of arrays are (a, g, ...): ratios of the affine deviation, of the field, and what else there
+is. Places are scaled: they count from the middle of the marks, in rms distances from it.
 """
 
 from functools import cached_property
@@ -63,8 +61,9 @@ def covariance_slope(kernel: tuple[str, float], squares: Floats) -> Floats:
     """Derivative of the covariance by half the squared distance."""
     name, length = kernel
     if name == "gauss":
-        return np.exp(squares * (-0.5 / length**2)) / -(length**2)
-    return np.exp(-np.sqrt(squares * (3.0 / length**2))) * (-3.0 / length**2)
+        return covariance(kernel, squares) / -(length**2)
+    away = np.sqrt(squares * (3.0 / length**2))
+    return np.exp(-away) * (-3.0 / length**2)
 
 
 class _KernelFit(NamedTuple):
@@ -93,8 +92,13 @@ class DeviationField:
     """
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
-        """Fit each kernel; ``mixture`` holds the probabilities of them all, if they are known."""
-        self._all_pairs, self.mirrored = pairs, mirrored
+        """Fit each kernel; ``mixture`` holds the probabilities of them all, if they are known.
+
+        More pairs than `MOST` are taken together first. Kernels that are unlikely are dropped once
+        all are judged.
+        """
+        self._all_pairs = pairs
+        self.mirrored = mirrored
         # (n,), which marks were taken together; more than `MOST` are.
         self.group = _groups(pairs.fixed, MOST)
         self._pairs = pairs = _grouped_pairs(pairs, self.group)
@@ -103,41 +107,46 @@ class DeviationField:
         self._unit = float(np.median(pairs.weights))
         self._whitening = pairs.whitening() / np.sqrt(self._unit)
         design = self._columns(self.nodes)
-        target = whitened(self._whitening, pairs.fixed.reshape(-1, 1)).ravel()
+        fixed_column = pairs.fixed.reshape(-1, 1)
+        target = whitened(self._whitening, fixed_column).ravel()
         columns = whitened(self._whitening, design.reshape(-1, 6))
         # All else is small beside this similarity.
-        self._first = np.zeros(6)
-        self._first[:4], *_ = np.linalg.lstsq(columns[:, :4], target, rcond=None)
+        similarity, *_ = np.linalg.lstsq(columns[:, :4], target, rcond=None)
+        self._first = np.append(similarity, [0.0, 0.0])
         y = target - columns @ self._first
         squares = squared_distances(self.nodes, self.nodes)
         self.freedom = 2 * len(pairs) - 4
-        floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
+        # Square of what float64 leaves of the length of a mark's place; no misfit is smaller.
+        size_um = float(np.hypot(*similarity[2:]))
+        floor = (COINCIDENT * size_um) ** 2
         kernel_fits: dict[int, _KernelFit] = {}
         for k, kernel in enumerate(KERNELS):
             if mixture is None or mixture[k].any():
                 kernel_fits[k] = self._fit(kernel, squares, columns, y, floor)
         if mixture is None:
-            mixture = _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
+            log_posteriors = [fit.log_posterior for fit in kernel_fits.values()]
+            mixture = _shares(np.array(log_posteriors))
         self.mixture = mixture
-        self._kernel_fits = {k: v for k, v in kernel_fits.items() if mixture[k].any()}
+        self._kernel_fits = {k: fit for k, fit in kernel_fits.items() if mixture[k].any()}
         self.mark_variance = np.nan
         if self.freedom > 0:
-            variances = [
-                np.sum(mixture[k] * v.mark_variances) for k, v in self._kernel_fits.items()
-            ]
-            self.mark_variance = float(sum(variances)) * self._unit
+            variance = 0.0
+            for k, fit in self._kernel_fits.items():
+                variance += np.sum(mixture[k] * fit.mark_variances)
+            self.mark_variance = float(variance) * self._unit
 
     def _columns(self, scaled: Floats) -> Floats:
-        """Derivatives of the image of scaled points (k, 2).
+        """Derivatives (k, 2, 6) of the image of scaled points (k, 2).
 
         By shift, scale and turn, and by the affine deviation.
         """
         x, y = scaled.T
         x = -x if self.mirrored else x
-        ones = np.ones(len(scaled))
-        zeros = np.zeros(len(scaled))
-        rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+        ones = np.ones_like(x)
+        zeros = np.zeros_like(x)
+        along_x = np.stack([ones, zeros, x, -y, x, y], axis=-1)
+        along_y = np.stack([zeros, ones, y, x, -y, x], axis=-1)
+        return np.stack([along_x, along_y], axis=1)
 
     def _fit(
         self,
@@ -147,7 +156,12 @@ class DeviationField:
         y: Floats,
         misfit_floor: float,
     ) -> _KernelFit:
-        """Fit one kernel at all strengths of the field and of the affine part."""
+        """Fit one kernel at all strengths of the field and of the affine part.
+
+        ``squares`` (n, n) are distances between the nodes; ``design`` (2n, 6) and ``y`` (2n,) are
+        whitened, without the first similarity; ``misfit_floor`` is a sum of squares a degree of
+        freedom.
+        """
         covariances = covariance(kernel, squares)
         if self._pairs.isotropic:
             weight_roots = self._whitening[:, 0, 0]
@@ -158,10 +172,12 @@ class DeviationField:
             rows = whitened(self._whitening, on_both_axes(covariances))
             eigenvalues, eigenvectors = np.linalg.eigh(whitened(self._whitening, rows.T))
         eigenvalues = np.maximum(eigenvalues, 0.0)
-        design, y = eigenvectors.T @ design, eigenvectors.T @ y
+        design = eigenvectors.T @ design
+        y = eigenvectors.T @ y
         shrinkage = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)
         weighted = shrinkage[:, None] * design.T  # (g, 6, 2n)
-        gram, projected = weighted @ design, weighted @ y
+        gram = weighted @ design
+        projected = weighted @ y
         coefficient_cov = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
         similarity_gram = gram[:, :4, :4]
         coefficient_cov[0, :, :4, :4] = np.linalg.inv(similarity_gram)
@@ -169,8 +185,10 @@ class DeviationField:
         penalised = gram + penalty / _AFFINE[1:, None, None, None]
         coefficient_cov[1:] = np.linalg.inv(penalised)
         coefficients = (coefficient_cov @ projected[..., None])[..., 0]
-        residual_squares = shrinkage @ (y * y) - np.sum(coefficients * projected, axis=-1)
-        misfit = np.maximum(residual_squares, 0.0) + max(self.freedom, 1) * misfit_floor
+        explained_squares = np.sum(coefficients * projected, axis=-1)
+        residual_squares = shrinkage @ (y * y) - explained_squares
+        freedom = max(self.freedom, 1)
+        misfit = np.maximum(residual_squares, 0.0) + freedom * misfit_floor
         log_shrinkage = 0.5 * np.sum(np.log(shrinkage), axis=1)
         log_posterior = np.tile(log_shrinkage, (len(_AFFINE), 1))
         _, log_determinants = np.linalg.slogdet(similarity_gram)
@@ -180,15 +198,15 @@ class DeviationField:
         log_posterior -= 0.5 * self.freedom * np.log(misfit)
         log_posterior += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
         return _KernelFit(
-            eigenvectors,
-            y,
-            design,
-            shrinkage,
-            coefficient_cov,
-            coefficients,
-            misfit,
-            misfit / max(self.freedom, 1),
-            log_posterior,
+            eigenvectors=eigenvectors,
+            y=y,
+            design=design,
+            shrinkage=shrinkage,
+            coefficient_cov=coefficient_cov,
+            coefficients=coefficients,
+            misfit=misfit,
+            mark_variances=misfit / freedom,
+            log_posterior=log_posterior,
         )
 
     # --- the map and its errors -------------------------------------------------------------------
@@ -197,6 +215,9 @@ class DeviationField:
         """Affine part, and coefficients of the likely kernels at the nodes, in um.
 
         Their shapes are (3, 2) and (kernels, n, 2).
+
+        Also the kernels to which the coefficients belong, in their order. The affine part has a row
+        for 1, x and y of scaled places.
         """
         plane_coefficients = np.zeros(6)
         kernel_coefficients = dict[int, Floats]()
@@ -209,9 +230,8 @@ class DeviationField:
             dual = kernel_fit.eigenvectors @ mean_residuals
             coefficients = self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1)
             kernel_coefficients[k] = coefficients[..., 0]
-        # Coefficients of `_columns` as those of ``(1, x, y)``.
-        corners = np.array([[0.0, 0], [1, 0], [0, 1]])
-        corner_columns = self._columns(corners)
+        # Coefficients of `_columns` as those of ``(1, x, y)``: images of (0, 0), (1, 0) and (0, 1).
+        corner_columns = self._columns(np.eye(3, 2, -1))
         plane = np.einsum("kcp,p->kc", corner_columns, plane_coefficients + self._first)
         plane[1:] -= plane[:1]
         kernels = tuple(KERNELS[k] for k in kernel_coefficients)
@@ -237,7 +257,8 @@ class DeviationField:
         plane_basis, *_ = np.linalg.lstsq(plane_columns, columns, rcond=None)
         unwhitening = block_diag(*self._whitening.swapaxes(1, 2))
         for k, kernel_fit in self._kernel_fits.items():
-            probabilities, variances = self.mixture[k], kernel_fit.mark_variances
+            probabilities = self.mixture[k]
+            variances = kernel_fit.mark_variances
             # Rows of which the products with (columns, eigenvectors) are squared and summed.
             least_variance = np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])
             root = np.linalg.cholesky(kernel_fit.coefficient_cov + least_variance)
@@ -250,19 +271,19 @@ class DeviationField:
             dual = _FIELD[:, None] * self._scaled_residuals(kernel_fit)
             means = np.concatenate([kernel_fit.coefficients, dual], axis=-1)
             mean_rows = np.sqrt(probabilities)[..., None] * means
-            stacked_rows = np.concatenate(
-                [k.reshape(-1, 6 + 2 * n) for k in (spread_rows, mean_rows)]
-            )
+            spread_rows = spread_rows.reshape(-1, 6 + 2 * n)
+            mean_rows = mean_rows.reshape(-1, 6 + 2 * n)
+            stacked_rows = np.concatenate([spread_rows, mean_rows])
             form = stacked_rows.T @ stacked_rows
-            explained_variance = np.einsum(
-                "ag,g,gk->k", probabilities * variances, _FIELD**2, kernel_fit.shrinkage
-            )
+            weights = probabilities * variances
+            explained_variance = np.einsum("ag,g,gk->k", weights, _FIELD**2, kernel_fit.shrinkage)
             form[6:, 6:] -= np.diag(explained_variance)
             basis_change = block_diag(plane_basis, unwhitening @ kernel_fit.eigenvectors)
             form = basis_change @ form @ basis_change.T
+            # Rows and columns are x and y by turns; a distance adds both.
             form = form[0::2, 0::2] + form[1::2, 1::2]
             mean_deviation = basis_change @ np.einsum("ag,agk->k", probabilities, means)
-            constant = 2.0 * float(np.sum(probabilities * variances * _FIELD))
+            constant = 2.0 * float(np.sum(weights * _FIELD))
             forms[k] = (form, mean_deviation.reshape(-1, 2), constant)
         return forms
 
@@ -285,9 +306,11 @@ class DeviationField:
             deviations = images[part] - self._columns(scaled_points) @ self._first
             squares_um2 = np.sum(deviations**2, axis=1)
             for k, (form, mean, constant) in self._square_forms.items():
-                row = np.concatenate([plane_rows, covariance(KERNELS[k], squares)], axis=1)
+                covariances = covariance(KERNELS[k], squares)
+                row = np.concatenate([plane_rows, covariances], axis=1)
+                quadratic_terms = np.sum(row * (row @ form), axis=1)
                 cross_terms = np.sum(deviations * (row @ mean), axis=1)
-                squares_um2 += np.sum(row * (row @ form), axis=1) + constant - 2.0 * cross_terms
+                squares_um2 += quadratic_terms + constant - 2.0 * cross_terms
             out[part] = np.maximum(squares_um2, 0.0)
         return out
 
@@ -338,13 +361,18 @@ class DeviationField:
         """Errors of the marks left out, determinants of ``P_ii``, and ``q``.
 
         Their shapes are (a, g, n, 2), (a, g, n) and (a, g, n).
+
+        ``P`` is the operator that takes the whitened marks to the residuals; ``P_ii`` is its 2 x 2
+        block of a mark, NaN where the others leave a parameter free, and ``q`` the misfit that goes
+        with the mark.
         """
         n = len(self._pairs)
         rows = kernel_fit.eigenvectors.reshape(n, 2, -1)
         residuals = self._scaled_residuals(kernel_fit) @ kernel_fit.eigenvectors.T
         residuals = residuals.reshape(*kernel_fit.misfit.shape, n, 2)
         blocks: list[Floats] = []
-        step = max(1, 16 * _AT_ONCE // (n * kernel_fit.shrinkage.shape[0]))
+        # So many marks at once that their blocks fit into the memory.
+        step = max(1, 16 * _AT_ONCE // (n * _FIELD.size))
         for start in range(0, n, step):
             mark_rows = rows[start : start + step]
             weighted = mark_rows * kernel_fit.shrinkage[:, None, None]  # (g, marks, 2, 2n)
@@ -353,13 +381,14 @@ class DeviationField:
             explained = projected @ coefficient_cov @ projected.swapaxes(2, 3)
             blocks.append(weighted @ mark_rows.swapaxes(1, 2) - explained)
         blocks_of_p = np.concatenate(blocks, axis=2)
-        xx, xy, yy = blocks_of_p[..., 0, 0], blocks_of_p[..., 0, 1], blocks_of_p[..., 1, 1]
+        xx, xy = np.moveaxis(blocks_of_p[..., 0, :], -1, 0)
+        yy = blocks_of_p[..., 1, 1]
         determinants = xx * yy - xy**2
         # Without this mark the others leave the similarity free.
         is_undetermined = determinants < COINCIDENT**2 * (xx + yy) ** 2
         blocks_of_p[is_undetermined] = np.nan
         determinants[is_undetermined] = np.nan
-        inverses = inverse_of(blocks_of_p.reshape(-1, 2, 2)).reshape(blocks_of_p.shape)
+        inverses = inverse_of(blocks_of_p).reshape(blocks_of_p.shape)
         errors = (inverses @ residuals[..., None])[..., 0]
         return errors, determinants, np.sum(residuals * errors, axis=-1)
 
@@ -411,13 +440,16 @@ def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
 
 
 def _log_sum(logs: Floats) -> Floats:
+    """Logarithm of the sum along the first axis of what has these logarithms."""
     top = logs.max(axis=0)
-    return top + np.log(np.sum(np.exp(logs - top), axis=0))
+    shares = np.exp(logs - top)
+    return top + np.log(np.sum(shares, axis=0))
 
 
 def _log_prior(ratios: Floats) -> Floats:
     """Logarithm of the probability of each ratio before the marks are seen: one half of none."""
-    return np.log(np.where(ratios > 0, 0.5 / (len(ratios) - 1), 0.5))
+    share = 0.5 / (len(ratios) - 1)
+    return np.log(np.where(ratios > 0, share, 0.5))
 
 
 def _shares(logs: Floats) -> Floats:
@@ -426,5 +458,6 @@ def _shares(logs: Floats) -> Floats:
     Unlikely kernels get none.
     """
     shares = np.exp(logs - logs.max())
-    shares[shares.sum(axis=(1, 2)) < _LEAST * shares.sum()] = 0.0
+    kernel_shares = shares.sum(axis=(1, 2))
+    shares[kernel_shares < _LEAST * shares.sum()] = 0.0
     return shares / shares.sum()

@@ -158,7 +158,9 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     n = len(pairs)
     field = best_field = DeviationField(pairs, mirrored)
     is_right = np.ones(n, bool)
-    removed, wrong_count = [], 0
+    # Rows in the order in which they are taken out; the first ``wrong_count`` are wrong.
+    removed: list[int] = []
+    wrong_count = 0
     # Three wrong marks may hide each other, and two right ones may be taken out before them.
     extra, hidden = (2, 3) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
     most_removed = max(1, n // 4) + extra if n >= _LEAST_JUDGED else 0
@@ -166,9 +168,12 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
         remaining_rows = np.flatnonzero(is_right)
         _, chance = field.left_out()
         # The more marks were taken out without need, the more choices there were.
-        limit = np.log(_CHANCE) - (1 + len(removed) - wrong_count) * np.log(remaining_rows.size)
+        choices = 1 + len(removed) - wrong_count
+        limit = np.log(_CHANCE) - choices * np.log(remaining_rows.size)
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
-        count = max(1, int(np.count_nonzero(chance < limit))) if n > _MANY else 1
+        count = 1
+        if n > _MANY:
+            count = max(1, int(np.count_nonzero(chance < limit)))
         outliers = np.argsort(chance, kind="stable")[:count]
         # Of marks that were taken together, the one that stands out most: it moves the mean of the
         # others.
@@ -197,10 +202,13 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
 
 
 def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
-    """Say which marks do not count, and why, and where few are left."""
+    """Say which marks do not count, and why, and where few are left.
+
+    ``repeated_rows`` are the rows of pairs that repeat others.
+    """
     excluded = np.flatnonzero(fit.robust_weights < 1.0)
     if excluded.size:
-        distances_um = np.linalg.norm(fit.residuals_um, axis=1)[excluded[:8]]
+        distances_um = np.linalg.norm(fit.residuals_um[excluded[:8]], axis=1)
         off_text = f"off by {', '.join(f'{distance:.3g}' for distance in distances_um)} um"
         subject = f"{listed(excluded + 1)} (counted from 1)"
         if excluded.size > 1:
@@ -227,12 +235,17 @@ def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
 
 
 def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
+    """Say where the marks make another map likely than the fitted one, between them too.
+
+    Nothing where the model is the likely map itself, or the marks leave no residual.
+    """
     if fit.model == AVERAGED.name or not fit.field.freedom > 0:
         return
     points = inside(fit.moving[fit.weights > 0], 17)
     likely_images = AVERAGED.of(fit.field)(points)
     distances = np.linalg.norm(fit(points) - likely_images, axis=1)
-    error_um = np.sqrt(np.mean(fit.field.expected_square(points, likely_images)))
+    squares_um2 = fit.field.expected_square(points, likely_images)
+    error_um = np.sqrt(np.mean(squares_um2))
     difference_um = np.sqrt(np.mean(distances**2))
     # A model is warned of where it is off by twice what the likely map is known to.
     if difference_um > 2.0 * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
@@ -249,7 +262,10 @@ def has_other_unit(scale: float) -> bool:
 
 
 def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
-    rms, scale, strain = fit.rms_um, fit.transform.scale, fit.strain
+    """Say where residuals, scale or local strain are larger than those of paper can be."""
+    rms = fit.rms_um
+    scale = fit.transform.scale
+    strain = fit.strain
     spread = scale * fit.field.size
     # Residuals over the spread of the marks from which on the pairs, not their errors, are in
     # doubt.

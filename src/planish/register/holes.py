@@ -76,7 +76,8 @@ def register_marks(
     is_facing = seen_from[0] != seen_from[1]
     moving_um, fixed_um = map(centres_of, sides)
     options: Entries = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
-    points = moving_um * (-1.0, 1.0) if is_facing else moving_um, fixed_um
+    # Turned over, so that both sides are of one hand.
+    points = (moving_um * (-1.0, 1.0) if is_facing else moving_um), fixed_um
     if pattern is None:
         matched = match_marks(*points, names=names, **options)
     else:
@@ -116,7 +117,7 @@ def fit_pairs(
     MarkError
         If fewer than 3 pairs are given, or they cannot be used.
     """
-    sides, cov_names = (moving, fixed), ("cov_xx", "cov_xy", "cov_yy")
+    sides = (moving, fixed)
     source, target = map(centres_of, sides)
     if len(source) < 3:
         raise MarkError(
@@ -124,23 +125,27 @@ def fit_pairs(
             " more, far apart."
         )
     weights = None
-    if all(name in h and np.isfinite(h[name].values).all() for h in sides for name in cov_names):
-        rotation = fit_transform(source, target, mirrored=mirrored, robust=False).transform.matrix()
-        moving_cov, fixed_cov = map(_covariances, sides)
+    moving_cov, fixed_cov = map(_covariances, sides)
+    if np.isfinite(moving_cov).all() and np.isfinite(fixed_cov).all():
+        # Turned into the fixed frame.
+        first_fit = fit_transform(source, target, mirrored=mirrored, robust=False)
+        rotation = first_fit.transform.matrix()
         weights = rotation @ moving_cov @ rotation.T + fixed_cov
     fit = fit_transform(
         source, target, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity"
     )
-    scale, tolerance = fit.transform.scale, params.scale_tolerance
-    if abs(scale - 1) > tolerance and has_other_unit(scale):
+    scale = fit.transform.scale
+    tolerance = params.scale_tolerance
+    deviation = abs(scale - 1)
+    if deviation > tolerance and has_other_unit(scale):
         raise CannotRegister(
             f"The marks fit at a scale of {scale:.4g}: one side is probably in pixels, the other in"
             " um. Give both in um; planish marks convert turns pixels into um, given `unit=pixel`,"
             " `moving_pixel_um` and `fixed_pixel_um`."
         )
-    if abs(scale - 1) > tolerance:
+    if deviation > tolerance:
         raise CannotRegister(
-            f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off"
+            f"The marks fit at a scale of {scale:.4f}, which is {100 * deviation:.1f} % off"
             f" the calibration; {100 * tolerance:.2g} % are allowed. Check `voxel_um`, `pixel_um`"
             " and the marks; if a calibration is that uncertain, allow more with"
             " `scale_tolerance`."
@@ -149,9 +154,10 @@ def fit_pairs(
 
 
 def _covariances(holes: xr.Dataset) -> Floats:
-    """Covariances (n, 2, 2) of the centres, along x and y."""
-    entries = [holes[f"cov_{axes}"].values for axes in ("xx", "xy", "xy", "yy")]
-    return np.stack(entries, axis=-1).reshape(-1, 2, 2)
+    """Covariances (n, 2, 2) of the centres, along x and y, in um2; NaN where they are not known."""
+    unknown = np.full(holes.sizes["mark"], np.nan)
+    covariances = [holes.get(f"cov_{axes}", unknown) for axes in ("xx", "xy", "xy", "yy")]
+    return np.stack(covariances, axis=-1).reshape(-1, 2, 2)
 
 
 def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> None:

@@ -276,7 +276,8 @@ def match_by_design(
         first_holes, second_holes, assume_unique=True, return_indices=True
     )
     order = np.argsort(first_marks[i])
-    i, j = first_marks[i][order], second_marks[j][order]
+    i = first_marks[i][order]
+    j = second_marks[j][order]
     mirrored = first_match.mirrored != second_match.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the
     # design helps.

@@ -142,7 +142,8 @@ def _rival(
     is_used = best.squares <= tolerance * tolerance
     moves = arrangements.landed[:, is_used] - best.landed[is_used]
     is_turned_over = arrangements.mirrored != best.mirrored
-    is_rival = is_turned_over | (np.abs(moves).max(axis=1) > 2.0 * tolerance)
+    moved_um = np.abs(moves).max(axis=1)
+    is_rival = is_turned_over | (moved_um > 2.0 * tolerance)
     if not is_rival.any():
         return np.inf, 0
     rivals = arrangements.take(is_rival)
@@ -163,7 +164,8 @@ def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
     """Mask of the points in the rectangle around others, widened by a share of its longer side."""
     x0, x1, y0, y1 = bounds_of(field_points)
     margin = border * max(x1 - x0, y1 - y0)
-    x, y = points.real, points.imag
+    x = points.real
+    y = points.imag
     inside_x = (x >= x0 - margin) & (x <= x1 + margin)
     return inside_x & (y >= y0 - margin) & (y <= y1 + margin)
 
@@ -207,7 +209,8 @@ def self_likeness(
     _, short_side_um = extents(points)
     evidence_limit = -2.0 if short_side_um > 4.0 * tolerance_um else -8.0
     # By the number of marks that do not meet another one.
-    log_alike = np.array([_lost_alike(k, count, alone_counts) for k in range(count + 1)])
+    log_alike_by_lost = [_lost_alike(k, count, alone_counts) for k in range(count + 1)]
+    log_alike = np.array(log_alike_by_lost)
     n_lost = count - n_met
     is_suspect = log_evidence + log_alike[n_lost] > evidence_limit
     is_suspect &= is_plausible[n_lost]
@@ -303,7 +306,8 @@ def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float
     n_holes = count + n_lost
     # What one side lost, the other one shows alone.
     alone_first, alone_second = alone_counts
-    n_first, n_second = n_lost + alone_second, n_lost + alone_first
+    n_first = n_lost + alone_second
+    n_second = n_lost + alone_first
     alike_count = comb(n_first, n_lost) * comb(n_holes - n_first, alone_first)
     chance_alike = alike_count / comb(n_holes, n_second)
     chance_unburnt = comb(n_holes, n_lost) * _NOT_BURNT**n_lost * (1.0 - _NOT_BURNT) ** count

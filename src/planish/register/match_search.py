@@ -77,7 +77,8 @@ def search(
     # A hypothesis that two marks fix lands the others farther off than a fit to many of them.
     reach = REACH * tolerance_um
     x0, x1, y0, y1 = bounds_of(b)
-    wide_reach = reach + 0.5 * STRETCH * float(np.hypot(x1 - x0, y1 - y0))
+    diagonal_um = float(np.hypot(x1 - x0, y1 - y0))
+    wide_reach = reach + 0.5 * STRETCH * diagonal_um
     raster = _raster(b, wide_reach)
     cells = _cells(b, wide_reach)
     middle_reach = 0.5 * (wide_reach + reach)
@@ -144,7 +145,8 @@ def _arrangements(
     # Of three marks the kernel fits no stretch.
     freedom = np.where(pair_counts > 3, 2.0 + power / (power + ridge), 2.0)
     turned = np.outer(alpha, points)
-    landed = turned + np.outer(gamma, np.conj(points)) + beta[:, None]
+    stretched = np.outer(gamma, np.conj(points))
+    landed = turned + stretched + beta[:, None]
     return Arrangements(
         partner=partner,
         squares=squares,
@@ -166,14 +168,17 @@ _Raster = tuple[float, float, float, int, int]  # x0, y0, side of a cell (um), r
 
 def bounds_of(b: Complexes, margin: float = 0.0) -> _Bounds:
     """Least and largest x and y of marks, and a margin around, in um."""
-    x, y = b.real, b.imag
-    low_x, low_y = x.min() - margin, y.min() - margin
+    x = b.real
+    y = b.imag
+    low_x = x.min() - margin
+    low_y = y.min() - margin
     return low_x, x.max() + margin, low_y, y.max() + margin
 
 
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
-    x, y = b.real, b.imag
+    x = b.real
+    y = b.imag
     offsets = [x - x.mean(), y - y.mean()]
     centred = np.stack(offsets, axis=1)
     _, own_axes = np.linalg.eigh(centred.T @ centred)
@@ -223,7 +228,8 @@ def _hypotheses(
     base, base_lengths = _by_length(a)
     # Shorter pairs fix the turn too poorly.
     is_long = base_lengths >= 3.0 * tolerance
-    base, base_lengths = base[is_long], base_lengths[is_long]
+    base = base[is_long]
+    base_lengths = base_lengths[is_long]
     target, target_lengths = _by_length(b)
     slack = 0.6 * tolerance
     shortest = (1.0 - scale_tolerance) * base_lengths - slack
@@ -235,7 +241,9 @@ def _hypotheses(
         base_count = max(1, len(base) * most_count // tried_count)
         sample = np.linspace(0, len(base) - 1, base_count).astype(np.intp)
         sample = np.unique(sample)
-        base, first, stop = base[sample], first[sample], stop[sample]
+        base = base[sample]
+        first = first[sample]
+        stop = stop[sample]
     counts = 2 * (stop - first)
     start = np.append(0, np.cumsum(counts))
     base_rows = np.repeat(np.arange(len(base)), counts)
@@ -264,7 +272,8 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
     ``near`` (rows, columns) is 1 there, 0 elsewhere and on its border.
     """
     bounds = x0, x1, y0, y1 = bounds_of(b, reach)
-    width, height = x1 - x0, y1 - y0
+    width = x1 - x0
+    height = y1 - y0
     # Never more than about 1.5 million cells, and 20 000 along a side.
     largest_raster = np.sqrt(width * height / 1_500_000)
     size = max(reach / 3.0, largest_raster, width / 20000.0, height / 20000.0)
@@ -272,7 +281,8 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
     near = np.zeros((rows, columns), np.uint8)
     cells = int(reach / size) + 2
     steps = np.arange(-cells, cells + 1)
-    row, column = row[:, None] + steps, column[:, None] + steps
+    row = row[:, None] + steps
+    column = column[:, None] + steps
     dx = x0 + (column + 0.5) * size - b.real[:, None]
     dy = y0 + (row + 0.5) * size - b.imag[:, None]
     # A cell counts where its middle does, or a little beyond, so that no cell with a good place is
@@ -301,9 +311,12 @@ def _cells(b: Complexes, reach: float) -> tuple[_Raster, Ints, NDArray[np.int32]
     """Give a raster whose cells list the marks within ``reach``, in um.
 
     Marks ``index[start[cell]:start[cell + 1]]`` are those of a cell; cells count row by row.
+
+    What of the field lies beyond the raster has no mark within reach.
     """
     bounds = x0, x1, y0, y1 = bounds_of(b)
-    width, height = x1 - x0, y1 - y0
+    width = x1 - x0
+    height = y1 - y0
     # Never more than about a million cells, however large the field.
     most_cells = np.sqrt((width + 4 * reach) * (height + 4 * reach) / 1e6)
     size = max(reach, most_cells, width / 1e5, height / 1e5)
@@ -348,7 +361,8 @@ def log_chance(
         stretches = largest_moves[:, None] / radius
         log_stretches = np.log10(np.maximum(1.0, np.pi * stretches**2))
         log_choices = [log10(comb(n - 2, chosen)) for chosen in range(1, n - 1)]
-        log_tests = log10(max(tests, 1) * (n - 2)) + np.array(log_choices)
+        log_trials = log10(max(tests, 1) * (n - 2))
+        log_tests = log_trials + np.array(log_choices)
         log_counts = log_tests + (k - 2) * np.log10(shares) + log_stretches
     log_counts[np.isinf(worst_squares)] = np.inf
     return log_counts.min(axis=1)

@@ -58,16 +58,18 @@ class AveragedModel(Model):
     def of(self, field: DeviationField) -> Averaged:
         """The mean of a field."""
         affine, kernels, bend = field.mean()
-        gauss = [length for name, length in kernels if name == "gauss"]
-        matern = [length for name, length in kernels if name == "matern"]
+        # Lengths of either kind; the coefficients are in the same order, Gaussian ones first.
+        lengths: dict[str, list[float]] = {"gauss": [], "matern": []}
+        for name, length in kernels:
+            lengths[name].append(length)
         return Averaged(
             source=pair_of(field.middle),
             size=field.size,
             nodes=field.nodes,
-            affine=affine + 0.0,
+            affine=affine + 0.0,  # no negative zero
             bend=bend + 0.0,
-            gauss=np.array(gauss),
-            matern=np.array(matern),
+            gauss=np.array(lengths["gauss"]),
+            matern=np.array(lengths["matern"]),
         )
 
     def refit(self, pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Averaged:

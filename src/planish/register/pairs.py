@@ -53,7 +53,8 @@ class Pairs:
 
     def take(self, which: Ints | Bools) -> Pairs:
         """Return some of the pairs, by their rows or a mask (n,)."""
-        moving, fixed = self.moving[which], self.fixed[which]
+        moving = self.moving[which]
+        fixed = self.fixed[which]
         return Pairs(moving=moving, fixed=fixed, information=self.information[which])
 
     def whitening(self) -> Floats:
@@ -81,7 +82,8 @@ class Pairs:
 
 def _blocks(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     """Matrices ``[[a, b], [c, d]]`` (n, 2, 2) of their elements (n,)."""
-    return np.stack([a, b, c, d], axis=-1).reshape(-1, 2, 2)
+    elements = np.stack([a, b, c, d], axis=-1)
+    return elements.reshape(-1, 2, 2)
 
 
 def whitened(whitening: Floats, rows: Floats) -> Floats:
@@ -98,7 +100,8 @@ def solved(matrices: Floats, vectors: Floats) -> Floats:
 
 def on_both_axes(rows: Floats) -> Floats:
     """Repeat rows (n, k) for x and y: (2n, 2k)."""
-    return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)
+    repeated = np.kron(rows, np.eye(2))
+    return np.asarray(repeated, dtype=np.float64)
 
 
 def squared_distances(places: Floats, targets: Floats) -> Floats:
@@ -116,7 +119,8 @@ def inverse_of(blocks: Floats) -> Floats:
 
 def as_complex(points: Floats, mirrored: bool) -> Complexes:
     """Points as ``x + iy``, or ``-x + iy`` where mirrored."""
-    x, y = points[..., 0], points[..., 1]
+    x = points[..., 0]
+    y = points[..., 1]
     return (-x if mirrored else x) + 1j * y
 
 
@@ -181,10 +185,12 @@ def _repeated(sides: dict[str, Floats], used: Ints, coincidence_um: dict[str, fl
 
     repeated_rows: set[int] = set()
     for name, other_name in (("moving", "fixed"), ("fixed", "moving")):
-        points, partners = sides[name], sides[other_name]
+        points = sides[name]
+        partners = sides[other_name]
         coincident = KDTree(points[used]).query_pairs(coincidence_um[name])
         for a, b in sorted(coincident):
-            first_row, second_row = used[a], used[b]
+            first_row = used[a]
+            second_row = used[b]
             distance = float(np.linalg.norm(partners[first_row] - partners[second_row]))
             if distance > coincidence_um[other_name]:
                 x, y = points[first_row]
@@ -280,7 +286,8 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
         hand_rms.append(float(np.sqrt(mean_square)))
     if mirrored is None:
         return hand_rms[True] < hand_rms[False]
-    rms_um, other_um = hand_rms[mirrored], hand_rms[not mirrored]
+    rms_um = hand_rms[mirrored]
+    other_um = hand_rms[not mirrored]
     spread = np.sqrt(share @ np.abs(w) ** 2)
     # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks'
     # spread, to be refused.
@@ -299,9 +306,11 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
         declare_text = (
             "the maps are not mirrored after all: leave out mirrored=True, or `mirror=True`"
         )
-    first_text, second_text = declare_text, exchange_text
+    first_text = declare_text
+    second_text = exchange_text
     if is_exchanged:
-        first_text, second_text = exchange_text, declare_text
+        first_text = exchange_text
+        second_text = declare_text
     raise MarkError(
         f"The marks disagree by {rms_um:.3g} um rms as they are and by {other_um:.3g} um rms with"
         f" the handedness of one side reversed. Probably {first_text}. If not, {second_text}."

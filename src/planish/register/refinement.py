@@ -67,10 +67,12 @@ class FreeForm:
 
     def _clamped(self, points: Floats) -> tuple[Floats, Bools]:
         """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
-        cells = np.array(self.coefficients_um.shape[:0:-1]) - 3
+        _, rows, cols = self.coefficients_um.shape
+        # The mesh begins at the second coefficient and ends at the last but one.
         low = np.array(self.origin_um) + self.mesh_um
+        high = low + np.multiply((cols - 3, rows - 3), self.mesh_um)
         finite_points = np.nan_to_num(points)
-        clamped = np.clip(finite_points, low, low + cells * np.array(self.mesh_um))
+        clamped = np.clip(finite_points, low, high)
         return clamped, np.equal(clamped, finite_points)
 
     def _values(self, points: Floats, nu: tuple[int, int]) -> Floats:
@@ -81,9 +83,12 @@ class FreeForm:
         from scipy.interpolate import NdBSpline
 
         _, *counts = self.coefficients_um.shape
-        axes = zip(counts, self.origin_um[::-1], self.mesh_um[::-1], strict=True)
-        knots = tuple(first + mesh * (np.arange(n + 4) - 2.0) for n, first, mesh in axes)
-        spline: Any = NdBSpline(knots, np.moveaxis(self.coefficients_um, 0, -1), 3)
+        # The knots reach two nodes beyond the coefficients on either side.
+        knots: list[Floats] = []
+        for n, first, mesh in zip(counts, self.origin_um[::-1], self.mesh_um[::-1], strict=True):
+            knots.append(first + mesh * (np.arange(n + 4) - 2.0))
+        coefficients = np.moveaxis(self.coefficients_um, 0, -1)
+        spline: Any = NdBSpline(tuple(knots), coefficients, 3)
         return spline(points[..., ::-1], nu=nu)
 
 
@@ -130,8 +135,8 @@ class Refined:
             Cubic interpolation; NaN outside.
         """
         grid = Grid.regular(image.shape, pixel_um)
-        source_px = self(grid_points(grid.x_um, grid.y_um)) / pixel_um[::-1]
-        row_col = np.moveaxis(source_px[..., ::-1], -1, 0)
+        source_um = self(grid_points(grid.x_um, grid.y_um))
+        row_col = np.moveaxis(source_um[..., ::-1] / pixel_um, -1, 0)
         is_known = np.isfinite(image)
         mean = float(image[is_known].mean()) if is_known.any() else 0.0
         filled = np.where(is_known, image, mean)
@@ -216,28 +221,30 @@ def refine(
         ) from error
     maps, masks, pixel_um, first_um = _prepare(linked, image, valid, pixel_um, options.grid_um)
     transform = _search(itk, maps, masks, pixel_um, first_um, options)
-    is_shared = masks[0] & masks[1]
+    is_shared = np.logical_and(*masks)
     # 65 places along either axis, where displacement and derivatives are looked at.
-    rows, cols = (np.linspace(0, n - 1, min(n, 65)).round().astype(int) for n in is_shared.shape)
-    i, j = np.nonzero(is_shared[np.ix_(rows, cols)])
-    points_px = np.stack([cols[j], rows[i]], axis=-1)
-    points = points_px * pixel_um[::-1] + first_um
+    is_place = np.zeros_like(is_shared)
+    places = [np.linspace(0, n - 1, min(n, 65)).round().astype(int) for n in is_shared.shape]
+    is_place[np.ix_(*places)] = True
+    pixels = np.argwhere(is_shared & is_place).astype(np.float64)
+    points = pixels[:, ::-1] * pixel_um[::-1] + first_um
     return _assess(transform, points, fit, options)
 
 
 def _assess(
     transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions
 ) -> Refined:
-    """Look at displacement and derivatives at the points.
+    """Look at displacement and derivatives at points (n, 2) of the fixed map, in um.
 
-    Refuse folds and what the marks do not allow.
+    Refuse folds and what the marks do not allow, which are warnings where not ``bounded``.
     """
     jacobians = transform.jacobian(points)
     areas = determinants(jacobians)
     moved_um = np.linalg.norm(transform(points) - points, axis=1)
     expected_um = fit.expected_error_um(fit.inverse(points))
+    is_exact = (expected_um == 0) & (moved_um == 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.where((expected_um == 0) & (moved_um == 0), 0.0, moved_um / expected_um)
+        ratios = np.where(is_exact, 0.0, moved_um / expected_um)
     faults: list[str] = []
     worst_point = np.argmin(areas)
     if not areas[worst_point] > 0:
@@ -297,40 +304,45 @@ def _search(
     first_um: Pair,
     options: RefineOptions,
 ) -> Affine | FreeForm:
-    """Climb from the identity.
+    """Climb from the identity to where two maps agree best.
 
-    The library works in pixels (of the columns' axis), so its steps are pixels too.
+    ``maps`` are the linked one and the image, ``masks`` where they are known, ``first_um`` the
+    ``(x, y)`` of their first pixel. The library works in pixels (of the columns' axis), so its
+    steps are pixels too.
     """
-    unit_um = pixel_um[1]
+    row_um, unit_um = pixel_um
+    row_px = row_um / unit_um
     images: list[Any] = []
     mask_images = [mask.astype(np.uint8) for mask in masks]
     for values in (*maps, *mask_images):
         itk_image = itk.GetImageFromArray(values)
-        itk_image.SetSpacing((1.0, pixel_um[0] / unit_um))
+        itk_image.SetSpacing((1.0, row_px))
         images.append(itk_image)
+    linked, image, linked_mask, image_mask = images
     search = itk.ImageRegistrationMethod()
     search.SetNumberOfThreads(1)
     if options.metric == "correlation":
         search.SetMetricAsCorrelation()
     else:
         search.SetMetricAsMattesMutualInformation(32)
-    search.SetMetricFixedMask(images[2])
-    search.SetMetricMovingMask(images[3])
+    search.SetMetricFixedMask(linked_mask)
+    search.SetMetricMovingMask(image_mask)
     search.SetMetricSamplingStrategy(search.NONE)
     # A linear interpolation blurs between pixels, and less noise looks like agreement.
     search.SetInterpolator(itk.sitkBSpline3)
-    rows, cols = masks[0].shape
-    sides_um = cols * pixel_um[1], rows * pixel_um[0]
+    rows, cols = maps[0].shape
     if options.model == "affine":
         transform = itk.AffineTransform(2)
-        transform.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * pixel_um[0] / unit_um))
+        middle_y = 0.5 * (rows - 1) * row_um / unit_um
+        transform.SetCenter((0.5 * (cols - 1), middle_y))
         search.SetOptimizerAsRegularStepGradientDescent(
             learningRate=1.0, minStep=1e-3, numberOfIterations=_STEPS, relaxationFactor=0.5
         )
         search.SetOptimizerScalesFromPhysicalShift()
     else:
+        sides_um = (cols * unit_um, rows * row_um)
         mesh = [max(math.ceil(side / options.grid_um), 1) for side in sides_um]
-        transform = itk.BSplineTransformInitializer(images[0], mesh, 3)
+        transform = itk.BSplineTransformInitializer(linked, mesh, 3)
         search.SetOptimizerAsLBFGSB(
             gradientConvergenceTolerance=1e-5,
             numberOfIterations=_STEPS,
@@ -339,7 +351,7 @@ def _search(
     search.SetInitialTransform(transform, True)
     try:
         with _one_thread(itk):
-            search.Execute(images[0], images[1])
+            search.Execute(linked, image)
     except RuntimeError as fault:
         reason_text = str(fault).strip().rsplit("\n", 1)[-1]
         raise CannotRegister(
@@ -367,14 +379,19 @@ def _one_thread(itk: Any) -> Generator[None]:
 
 
 def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affine | FreeForm:
-    """Take a transformation of the library from its pixels to um."""
+    """Take a transformation of the library from its pixels to um.
+
+    ``fitted`` is an affine transformation of the library or a B-spline; ``unit_um`` is the side of
+    its pixels and ``first_um`` the place (x, y) of the first one.
+    """
     if hasattr(fitted, "GetMatrix"):
         a, b, c, d = fitted.GetMatrix()
+        linear = ((a, b), (c, d))
         centre = np.array(fitted.GetCenter())
         target = centre + np.array(fitted.GetTranslation())
         source_um = pair_of(centre * unit_um + first_um)
         target_um = pair_of(target * unit_um + first_um)
-        return Affine(linear=((a, b), (c, d)), source=source_um, target=target_um)
+        return Affine(linear=linear, source=source_um, target=target_um)
     coefficient_images = fitted.GetCoefficientImages()
     first_image = coefficient_images[0]
     origin_um = pair_of(np.array(first_image.GetOrigin()) * unit_um + first_um)
@@ -387,9 +404,9 @@ def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affi
 def _prepare(
     linked: Floats, image: Floats, valid: Bools | None, pixel_um: Pair, grid_um: float
 ) -> tuple[list[Floats], list[Bools], Pair, Pair]:
-    """Give both maps, averaged and filled with their means.
+    """Give both maps, averaged, standardised and filled with their means.
 
-    Also gives their masks, the pixel, and (x, y) of the first one's middle.
+    Also gives their masks, the pixel (y, x) in um, and (x, y) of the first one's middle.
     """
     is_allowed = np.ones(linked.shape, dtype=bool) if valid is None else valid
     if linked.ndim != 2 or not linked.shape == image.shape == is_allowed.shape:
@@ -401,26 +418,29 @@ def _prepare(
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
     factor = math.ceil(math.sqrt(linked.size / 60_000))
     row_um, col_um = pixel_um
-    first_um = (0.5 * (factor - 1) * col_um, 0.5 * (factor - 1) * row_um)
+    shift_px = 0.5 * (factor - 1)
     maps: list[Floats] = []
     for values in (linked, image):
-        shown = np.where(np.isfinite(values) & is_allowed, values, np.nan).astype(np.float64)
+        is_shown = np.isfinite(values) & is_allowed
+        shown = np.where(is_shown, values, np.nan).astype(np.float64)
         maps.append(area_mean(shown, (factor, factor)) if factor > 1 else shown)
-    masks = [np.isfinite(m) for m in maps]
-    count = int((masks[0] & masks[1]).sum())
+    masks = [*map(np.isfinite, maps)]
+    count = np.count_nonzero(np.logical_and(*masks))
     if count < 400:
         raise CannotRegister(
             f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only."
         )
     filled = [*map(_standardised, maps, masks)]
+    first_um = (shift_px * col_um, shift_px * row_um)
     return filled, masks, (factor * row_um, factor * col_um), first_um
 
 
 def _standardised(values: Floats, mask: Bools) -> Floats:
     """Values of mean 0 and standard deviation 1; 0 outside the mask."""
-    sd = values[mask].std()
+    known = values[mask]
+    sd = known.std()
     if float(sd) == 0:
         raise CannotRegister(
             "One of the maps is constant: nothing can be refined on it. Keep the marks only."
         )
-    return np.where(mask, (values - values[mask].mean()) / sd, 0.0)
+    return np.where(mask, (values - known.mean()) / sd, 0.0)

@@ -17,6 +17,7 @@ from planish.register.field import DeviationField
 from planish.register.models import MODELS, model_named
 from planish.register.pairs import Pairs, points_of, weighted_rms
 
+_SIMILARITY = ("scale", "rotation_rad", "shift_um", "mirrored")
 _ERRORS = ("rms_um", "localisation_error_um", "leave_one_out_um")
 _ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
 
@@ -81,7 +82,8 @@ class FittedTransform:
     @cached_property
     def field(self) -> DeviationField:
         """The map and errors that the marks in use make likely, whichever model was fitted."""
-        return self.likely or DeviationField(self._pairs.take(self.weights > 0), self.mirrored)
+        used_pairs = self._pairs.take(self.weights > 0)
+        return self.likely or DeviationField(used_pairs, self.mirrored)
 
     @cached_property
     def leave_one_out_um(self) -> Floats:
@@ -93,8 +95,8 @@ class FittedTransform:
         """
         missed = self.residuals_um.copy()
         used = self.weights > 0
-        pairs = self._pairs.take(used)
-        missed[used] = MODELS[self.model].left_out(pairs, self.transform, self.field)
+        model = MODELS[self.model]
+        missed[used] = model.left_out(self._pairs.take(used), self.transform, self.field)
         return np.linalg.norm(missed, axis=1)
 
     @property
@@ -175,7 +177,8 @@ class FittedTransform:
         points_um = np.asarray(points, dtype=np.float64)
         flat_points = points_um.reshape(-1, 2)
         squares_um2 = self.field.expected_square(flat_points, self.transform(flat_points))
-        return np.sqrt(squares_um2 + self.shared_um**2).reshape(points_um.shape[:-1])
+        errors_um = np.sqrt(squares_um2 + self.shared_um**2)
+        return errors_um.reshape(points_um.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
         """Fit the same pairs with other moving places, from another flattening of the sheet.
@@ -249,11 +252,11 @@ class Chain:
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)`` of the first map: ``(..., 2, 2)``."""
         points_um = np.asarray(points, dtype=np.float64)
-        jacobians = np.broadcast_to(np.eye(2), (*points_um.shape[:-1], 2, 2))
+        jacobians = np.eye(2)
         for fit in self.fits:
             jacobians = fit.jacobian(points_um) @ jacobians
             points_um = fit(points_um)
-        return np.array(jacobians)
+        return jacobians
 
     @property
     def similarity(self) -> Similarity:
@@ -280,7 +283,8 @@ class Chain:
         points_um = np.asarray(points, dtype=np.float64)
         square_errors = np.zeros(points_um.shape[:-1])
         for fit in self.fits:
-            stretch = 0.5 * np.sum(fit.jacobian(points_um) ** 2, axis=(-2, -1))
+            squared_slopes = fit.jacobian(points_um) ** 2
+            stretch = 0.5 * np.sum(squared_slopes, axis=(-2, -1))
             square_errors = square_errors * stretch + fit.expected_error_um(points_um) ** 2
             points_um = fit(points_um)
         return np.sqrt(square_errors)
@@ -295,21 +299,20 @@ def registration_to_json(fit: FittedTransform) -> Entries:
     Besides what `registration_from_json` needs it holds numbers to read: scale, rotation, errors of
     every mark. NaN becomes None.
     """
-    t = fit.transform
-    parameters = [field.name for field in fields(model_named(fit.model).transform)]
-    shared = {"shared_um": fit.shared_um} if fit.shared_um else {}
-    return {
-        "format": FORMAT,
-        **_plain_fields(fit, ("model", "sentence", "warnings")),
-        **_plain_fields(t, ("scale", "rotation_rad", "shift_um", "mirrored")),
-        **_plain_fields(fit, _ERRORS),
-        **shared,
-        "transform": _plain_fields(t, parameters),
-        **_plain_fields(fit, _ARRAYS),
-    }
+    kind = model_named(fit.model).transform
+    parameters = [field.name for field in fields(kind)]
+    entries: Entries = {"format": FORMAT}
+    entries |= _plain_fields(fit, ("model", "sentence", "warnings"))
+    entries |= _plain_fields(fit.transform, _SIMILARITY)
+    entries |= _plain_fields(fit, _ERRORS)
+    if fit.shared_um:
+        entries["shared_um"] = fit.shared_um
+    entries["transform"] = _plain_fields(fit.transform, parameters)
+    return entries | _plain_fields(fit, _ARRAYS)
 
 
 def _plain_fields(holder: object, names: Sequence[str]) -> Entries:
+    """Attributes of an object, by their names, as JSON has them."""
     return {name: _plain(getattr(holder, name)) for name in names}
 
 
@@ -328,8 +331,9 @@ def registration_from_json(data: Any) -> FittedTransform:
             )
         kind = model_named(data["model"]).transform
         hints = get_type_hints(kind)
-        entries = data["transform"]
-        parameters = {f.name: _read(entries[f.name], hints[f.name]) for f in fields(kind)}
+        parameters: Entries = {}
+        for field in fields(kind):
+            parameters[field.name] = _read(data["transform"][field.name], hints[field.name])
         arrays = {name: _read(data[name], Floats) for name in _ARRAYS}
         return FittedTransform(
             transform=kind(**parameters),
@@ -358,6 +362,7 @@ def _plain(value: Any) -> Any:
 
 
 def _read(value: Any, hint: Any) -> Any:
+    """Turn a value of JSON into the type of a field: an array, a tuple, a bool or a number."""
     if hint == Floats:
         return np.array(value, dtype=np.float64)
     if isinstance(value, list):

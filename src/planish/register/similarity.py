@@ -110,7 +110,11 @@ class AffineModel(ParametricModel):
     least, linear = 3, True
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> Affine:
-        """Linear least squares."""
+        """Linear least squares.
+
+        About the weighted middles of both sides, in units of the size of the moving marks.
+        CannotRegister where the marks lie on one line.
+        """
         middle, size = pairs.frame()
         refuse_line(pairs, self.name)
         target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
@@ -136,8 +140,10 @@ def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, floa
     share = pairs.share
     z = as_complex(pairs.moving, mirrored)
     w = as_complex(pairs.fixed, False)
-    z_mean, w_mean = share @ z, share @ w
-    zc, wc = z - z_mean, w - w_mean
+    z_mean = share @ z
+    w_mean = share @ w
+    zc = z - z_mean
+    wc = w - w_mean
     product = np.sum(share * zc.conj() * wc)
     square = np.sum(share * (zc.real**2 + zc.imag**2))
     _refuse_no_rotation(product, square)
@@ -240,7 +246,8 @@ class ProjectiveModel(ParametricModel):
     def design(self, transform: Projective, _frame: Frame, points: Floats, /) -> Floats:
         """The first eight numbers of the 3 x 3 matrix, whose last one is 1."""
         h = np.array(transform.homography)
-        linear, shift = h[:, :2], h[:, 2]
+        linear = h[:, :2]
+        shift = h[:, 2]
         scaled_points = (points - transform.source) / transform.source_size
         denominators = (scaled_points @ linear[2] + shift[2])[..., None]
         image = (scaled_points @ linear[:2].T + shift[:2]) / denominators

@@ -98,7 +98,11 @@ class Smoothing:
     """
 
     def __init__(self, pairs: Pairs) -> None:
-        """Set up the system; CannotRegister where the marks are too few, or on one line."""
+        """Set up the system; CannotRegister where the marks are too few, or on one line.
+
+        Places are scaled to rms distance 1 from their middle, and the fixed marks count from their
+        weighted mean.
+        """
         from scipy.linalg import eigh, qr
 
         n = len(pairs)
@@ -117,8 +121,10 @@ class Smoothing:
         half_whitened = whitened(self.whitening, on_both_axes(bending(squares)))
         self.kernel = whitened(self.whitening, half_whitened.T)
         affine_part = on_both_axes(np.column_stack([np.ones(n), self.nodes]))
+        # The first six columns span the affine part; all others are orthogonal to it.
         full, triangle = qr(whitened(self.whitening, affine_part))
-        self.span, self.triangle = full[:, :6], triangle[:6]
+        self.span = full[:, :6]
+        self.triangle = triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         offsets = (pairs.fixed - self.target).reshape(-1, 1)
         self.y = whitened(self.whitening, offsets).ravel()
@@ -133,6 +139,8 @@ class Smoothing:
         """Whitened errors (n, 2) of the marks left out at a fixed smoothing.
 
         NaN where the others lie on one line.
+
+        The vector is ``(P_ii)**-1 (P y)_i`` with the residual operator ``P`` of this smoothing.
         """
         # The share of each eigenvector that the spline leaves in the residuals, times a factor that
         # keeps the numbers near 1 also for an interpolating spline, which leaves nothing.
@@ -149,42 +157,43 @@ class Smoothing:
         return (inverse_of(blocks) @ residuals[..., None])[..., 0]
 
     def choose(self) -> float:
-        """Return the smoothing with the least sum of squares of marks left out.
+        """Return the smoothing (um**2) with the least sum of squares of marks left out.
 
-        The smoothest among equals.
+        The smoothest among equals: infinite for an affine map, 0 for a spline through all marks.
         """
         from scipy.optimize import minimize_scalar
 
+        # Below 1e-9 of the largest eigenvalue nothing is smoothed, and above 1e3 all is.
         top = float(self.eigenvalues.max()) * self.size**2
-        logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33).tolist()
-        costs = np.array([self._cost(float(np.exp(v))) for v in logs])
-        best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
-        chosen = float(np.exp(logs[best]))
-        least = float(costs[best])
+        logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33)
+        costs = np.array([*map(self._cost, logs)])
+        *_, best = np.flatnonzero(costs <= costs.min() * (1 + 1e-9)).tolist()
+        log_chosen = logs[best]
+        least = costs[best]
         if 0 < best < len(logs) - 1:
             bracket = (logs[best - 1], logs[best + 1])
-            optimum = minimize_scalar(
-                lambda v: self._cost(float(np.exp(v))), bounds=bracket, method="bounded"
-            )
+            optimum = minimize_scalar(self._cost, bounds=bracket, method="bounded")
             if optimum.fun < least:
-                chosen = float(np.exp(optimum.x))
-                least = float(optimum.fun)
+                log_chosen = optimum.x
+                least = optimum.fun
         if self._cost(np.inf) <= least * (1 + 1e-9):
             return np.inf
-        return 0.0 if self._cost(0.0) < least * (1 - 1e-6) else chosen
+        if self._cost(-np.inf) < least * (1 - 1e-6):
+            return 0.0
+        return float(np.exp(log_chosen))
 
-    def _cost(self, smoothing_um2: float) -> float:
-        """Sum of squares of the marks left out."""
-        return float(np.nansum(self.missed(smoothing_um2) ** 2))
+    def _cost(self, log_smoothing: float) -> float:
+        """Sum of squares of the marks left out, by the logarithm of the smoothing in um**2."""
+        errors = self.missed(float(np.exp(log_smoothing)))
+        return float(np.nansum(errors**2))
 
     def spline(self, smoothing_um2: float) -> ThinPlate:
         """Return the spline of a smoothing."""
         from scipy.linalg import solve_triangular
 
-        n = len(self.pairs)
-        dual = self.vectors @ (self.z / (self.eigenvalues + smoothing_um2 / self.size**2))
-        # No negative zero.
-        bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0
+        variances = self.eigenvalues + smoothing_um2 / self.size**2
+        dual = self.vectors @ (self.z / variances)
+        bend = self.whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1)
         affine_part = self.span.T @ (self.y - self.kernel @ dual)
         affine = solve_triangular(self.triangle, affine_part).reshape(3, 2)
         affine[0] += self.target
@@ -193,6 +202,6 @@ class Smoothing:
             size=self.size,
             nodes=self.nodes,
             affine=affine,
-            bend=bend,
+            bend=bend[..., 0] + 0.0,  # no negative zero
             smoothing_um2=float(smoothing_um2),
         )

@@ -117,11 +117,12 @@ def find_through_scale(
     limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
     t_factor = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
     source = spline(1.0)
+    # In place of the scale, a stretch of the sheet as the marks show it at scale 1.
     affine_design = affine_columns((source - source.mean(axis=0)) / spread)
     (affine_parameters,), (affine_misfit,) = _solved(affine_design[None], target, marks_precision)
     linear = affine_parameters[2:].reshape(2, 2)
     _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(linear)
-    direction_x, direction_y = right_vectors[0]
+    (direction_x, direction_y), _ = right_vectors
     over_stretch = affine_misfit + np.log(2 * rows.size) - misfit[best]
     direction_deg = float(np.degrees(np.arctan2(direction_y, direction_x)))
     return ThroughScale(
@@ -138,9 +139,11 @@ def find_through_scale(
 
 
 def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: int) -> float:
-    """Evidence against a scale of 1, the mark left out that speaks most for it.
+    """Evidence against a scale of 1, in variances, the mark left out that speaks most for it.
 
-    Of four marks none can be spared.
+    ``designs`` (scales, n, 2, 4) are those of `_solved`, ``target`` (n, 2) the fixed marks,
+    ``precision`` (2n, 2n) their inverse covariance; scale 1 is ``one_index``. Of four marks none
+    can be spared.
     """
     if len(target) <= _LEAST:
         return 0.0
@@ -172,15 +175,19 @@ def _centred(places: Floats, mirrored: bool) -> Floats:
 def _solved(
     design: Floats, target: Floats, precision: NDArray[np.floating]
 ) -> tuple[Floats, Floats]:
-    """Solve generalised least squares for each design (m, n, 2, p).
+    """Solve generalised least squares for each design (m, n, 2, p) of a target (n, 2).
 
-    Gives parameters (m, p) and rest in variances (m,).
+    Gives parameters (m, p) and rest in variances (m,). ``precision`` (2n, 2n) is the inverse
+    covariance of the target.
     """
     m, n, _, p = design.shape
     by_equation = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1)
-    rows = np.column_stack([by_equation.reshape(2 * n, m * p), target.ravel()])
+    # All designs side by side, and the target: whitened at once.
+    flat_designs = by_equation.reshape(2 * n, m * p)
+    rows = np.column_stack([flat_designs, target.ravel()])
     whitened = np.linalg.cholesky(precision).T @ rows
-    columns = np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0)
+    white_designs = whitened[:, :-1].reshape(2 * n, m, p)
+    columns = np.moveaxis(white_designs, 1, 0)
     white_target = whitened[:, -1]
     projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
@@ -196,9 +203,11 @@ def _precisions(
 ) -> tuple[Floats, Floats]:
     """Mean inverse covariance (2n, 2n) of the marks by restricted likelihood.
 
-    Without and with the strain of the paper.
+    Without and with the strain of the paper: (2, 2n, 2n).
 
     A scale is one of the parameters that are free, so that what it explains is no variance.
+    ``designs`` are those of all scales, ``target`` the fixed marks about their middle, and
+    ``spread`` is their rms distance from it, in um.
     """
     n = len(pairs)
     information = pairs.information / np.mean(pairs.weights)
@@ -206,17 +215,18 @@ def _precisions(
     precision = block_diag(*information)
     free, misfit = _free_columns(designs, target, precision)
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
+    stretched = target * [1, -1]
     exchanged = target[:, ::-1]
-    shears = np.stack([target * [1, -1], exchanged], axis=-1)
+    shears = np.stack([stretched, exchanged], axis=-1)
     strains = shears.reshape(2 * n, 2) * 0.0005
     squares = squared_distances(target, target) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that
     # of a mark.
-    lengths_ratios = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))
-    field_covariances = [
-        ratio * np.exp(-squares / (2 * length**2)) for length, ratio in lengths_ratios
-    ]
-    variances = max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
+    field_covariances: list[Floats] = []
+    for length, ratio in product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0)):
+        field_covariances.append(ratio * np.exp(-squares / (2 * length**2)))
+    mean_variance = max(misfit / (2 * n - 5), 1e-6)
+    variances = mean_variance * np.geomspace(1e-3, 10, 16)
     rows = free.reshape(2 * n, -1)
     log_weights: list[float] = []
     precision_pairs: list[Floats] = []
@@ -242,7 +252,8 @@ def _precisions(
 def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[Floats, float]:
     """Columns (n, 2, p) of the best similarity and of a change of the scale, where it is one.
 
-    And the misfit left.
+    And the misfit left. A change of the scale that a similarity makes as well is none: p is 4 then,
+    and 5 otherwise. ``designs`` (scales, n, 2, 4) are those of all scales.
     """
     parameters, misfit = _solved(designs, target, precision)
     best = int(np.argmin(misfit))
@@ -260,10 +271,14 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
 def _toward_one(fine_scales: Floats, misfit: Floats, best: int, one_index: int) -> float:
     """Distance from the best scale towards 1 at which marks fit worse by one variance.
 
-    Infinite where nowhere.
+    Infinite where nowhere; where the best scale is 1, the longer one of both ways. ``misfit`` is
+    that of each of the ``fine_scales``; ``best`` and ``one_index`` are indices in them.
     """
+    steps = [1, -1]
+    if best != one_index:
+        steps = [1 if best < one_index else -1]
     distances: list[float] = []
-    for step in [1] * (best <= one_index) + [-1] * (best >= one_index):
+    for step in steps:
         scales = fine_scales[best::step]
         excess = misfit[best::step] - misfit[best] - 1.0
         crossing = np.argmax(excess > 0)

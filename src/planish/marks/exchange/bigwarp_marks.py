@@ -34,7 +34,11 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Read the moving and target points."""
+    """Read the moving and target points.
+
+    Two lists, in the order of the rows. BigWarp states no unit: um is assumed. A position that is
+    not set, ``Infinity``, is NaN.
+    """
     name = content.name
     rows = _rows_of_json(content.json, name) if content.json else content.rows.rows
     first = rows[0].line
@@ -54,7 +58,8 @@ def read(content: Content) -> list[PointList]:
         points.append(_coordinates(row, content.rows, faults))
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
     # One coordinate that is not set leaves the point without a position.
-    sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
+    numbers = np.array(points, dtype=np.float64)
+    sides = numbers.reshape(len(points), 2, -1)
     sides[~are_known(sides)] = np.nan
     labels = [row.cells[0] or f"row {row.line}" for row in rows]
     used = [_STATES[row.cells[1].lower()] for row in rows]
@@ -64,7 +69,11 @@ def read(content: Content) -> list[PointList]:
 
 
 def _coordinates(row: CsvRow, rows: Rows, faults: list[str]) -> list[float | None]:
-    """Coordinates in a row, infinite where not set; what is wrong goes into ``faults``."""
+    """Coordinates in a row, infinite where not set; what is wrong goes into ``faults``.
+
+    The row holds name, state, and two or three numbers of either side; None stands for what is no
+    number.
+    """
     state = row.cells[1]
     if state.lower() not in _STATES:
         faults.append(f"row {row.line}: active is {state!r}, not true or false")
@@ -79,7 +88,10 @@ def _coordinates(row: CsvRow, rows: Rows, faults: list[str]) -> list[float | Non
 
 
 def _rows_of_json(content: Fields, name: str) -> list[CsvRow]:
-    """Landmarks, alone or in a project, as the rows that BigWarp writes of them."""
+    """Landmarks, alone or in a project, as the rows that BigWarp writes of them.
+
+    MarkError where points, names and states do not have the shape that BigWarp gives them.
+    """
     landmarks = content.get("landmarks", content)
     entries: Fields = landmarks if isinstance(landmarks, Mapping) else {}
     axes = entries.get("numDimensions")
@@ -112,11 +124,16 @@ def _are_points(points: Any, axes: int) -> bool:
 
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
-    """Write a CSV file. A point without one of its positions is not active, as BigWarp has it."""
+    """Write a CSV file. A point without one of its positions is not active, as BigWarp has it.
+
+    ``points`` are those of `formats`: (n, 2) or (n, 3) of the moving and the fixed side, in the
+    unit of the file.
+    """
     axes = max(side.shape[1] for side in points.values())
     sides: list[Floats] = []
     for side in points.values():
-        side = np.pad(side, ((0, 0), (0, axes - side.shape[1])))
+        missing_axes = axes - side.shape[1]
+        side = np.pad(side, ((0, 0), (0, missing_axes)))
         side[~are_known(side)] = np.inf
         sides.append(side)
     numbers = np.hstack(sides)

@@ -59,7 +59,11 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Read the points of one layer, or of two."""
+    """Read the points of one layer, or of two.
+
+    The first layout of `LAYOUTS` that has the columns says which they are, and the unit where the
+    headings state none. Rows that are not in use are left out.
+    """
     layout = _layout_of(content)
     assert layout is not None
     table = parse_table(content.text, content.name, needed=(), error=MarkError)
@@ -88,6 +92,9 @@ def _headings(table: CsvTable, layout: Layout) -> list[Heading]:
     """Headings of the columns, with the units of the last of the further rows of headings.
 
     These rows are taken out of the table.
+
+    The further rows are as many as the layout says, and only those without a number in the first
+    column of positions.
     """
     headings = [heading_of(cell) for cell in table.header]
     first_name, *_ = next(iter(layout.lists.values()))
@@ -105,7 +112,11 @@ def _headings(table: CsvTable, layout: Layout) -> list[Heading]:
 
 
 def _refuse_other_places(table: CsvTable, layout: Layout) -> None:
-    """Refuse points whose x and y are no places in one flat picture."""
+    """Refuse points whose x and y are no places in one flat picture.
+
+    MarkError for more axes than z, y, x, for shapes, and for points on several slices of a stack;
+    what is no point in a list of the ROI Manager is a fault of its row.
+    """
     if "axis-3" in table.header:
         raise MarkError(
             f"{table.name} holds points with more axes than z, y, x. Save points of one channel and"
@@ -129,7 +140,11 @@ def _refuse_other_places(table: CsvTable, layout: Layout) -> None:
 def _point_list(
     table: CsvTable, layout: Layout, title: str, names: Sequence[str], headings: Sequence[Heading]
 ) -> PointList:
-    """Take points from the columns of these names, all of which state one unit, or none."""
+    """Take points from the columns of these names, all of which state one unit, or none.
+
+    Lengths in another unit than um, mm or pixels are turned into um; where the headings state no
+    unit it is that of the layout, or None.
+    """
     columns = _columns_in_one_unit(headings, names)
     if not columns:
         raise MarkError(

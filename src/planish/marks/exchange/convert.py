@@ -31,17 +31,15 @@ _BY_HAND = (
     " fixed_y_mm, or in um or px, y downwards."
 )
 # How files begin that hold positions in another format: what they are, and the way on.
-_OTHERS = (
-    (
-        "# Markups fiducial file",
-        "is a point list of Slicer in the old format .fcsv",
-        "Save it in Slicer as .mrk.json.",
-    ),
-    (("# Amira", "# Avizo"), "holds landmarks of Amira or Avizo", _BY_HAND),
-    ("mapX,", "holds points of QGIS, whose y counts upwards", _BY_HAND),
-    ("LM=", "holds landmarks of tpsDig, whose y counts upwards", _BY_HAND),
-    ("<", "is XML, such as the named landmarks of Fiji", _BY_HAND),
-)
+_OTHERS = {
+    "# Markups fiducial file": "is a point list of Slicer in the old format .fcsv",
+    "# Amira": "holds landmarks of Amira or Avizo",
+    "# Avizo": "holds landmarks of Amira or Avizo",
+    "mapX,": "holds points of QGIS, whose y counts upwards",
+    "LM=": "holds landmarks of tpsDig, whose y counts upwards",
+    "<": "is XML, such as the named landmarks of Fiji",
+}
+_WAYS = {"# Markups fiducial file": "Save it in Slicer as .mrk.json."}  # by hand from the others
 
 
 def read_any(
@@ -94,10 +92,13 @@ def read_any(
         If a pixel size is needed and not given, or units contradict each other.
     """
     volume = volume or moving
-    contents = [read_content(file) for file in filter(None, (path, second))]
+    contents = [*map(read_content, filter(None, (path, second)))]
     name = " and ".join(content.name for content in contents)
-    formats = [_recognised(content) for content in contents]
-    readings = [module_of(kind).read(part) for kind, part in zip(formats, contents, strict=True)]
+    formats = [*map(_recognised, contents)]
+    # Each is a dataset of marks, or one or two lists of points.
+    readings: list[Any] = []
+    for kind, content in zip(formats, contents, strict=True):
+        readings.append(module_of(kind).read(content))
     read_from: Entries = {"format": formats[0], "unit": "um", "stated": True}
     if second is None and isinstance(readings[0], xr.Dataset):
         _check_own(name, unit, swap=swap)
@@ -250,24 +251,27 @@ def marks_bytes(
     # Positions by role, or by the name of the only layer.
     keys = layer_names(marks)
     if len(keys) == 1 and mark_format.single:
-        layers = {keys[0]: moving if moving.pixel_um else fixed}
+        overrides = [moving if moving.pixel_um else fixed]
+        layers = keys
     else:
         keys = ["moving", "fixed"]
-        pair = model.pair_of_layers(marks, name="This set of marks")
-        layers = dict(zip(pair, (moving, fixed), strict=True))
+        overrides = [moving, fixed]
+        layers = model.pair_of_layers(marks, name="This set of marks")
     if mark_format.pairs_only:
-        marks = _used_in(marks, [*layers])
+        marks = _used_in(marks, layers)
     file_points: list[Floats] = []
     file_text = f"The file for {mark_format.title}"
     file_unit = unit or mark_format.unit
-    for role, (layer, override) in zip(("moving", "fixed"), layers.items(), strict=False):
+    sides = zip(("moving", "fixed"), layers, overrides, strict=False)
+    for role, layer, override in sides:
         points = model.points_of(marks, layer)
         pixels = _pixels_of(about_layer(marks, layer), override)
         origin, factor = pixels.frame(file_unit, points.shape[1], file_text, role)
         file_points.append((points - origin) / factor)
     if swap:
         file_points.reverse()
-    return module_of(to).write(marks, dict(zip(keys, file_points, strict=True)))
+    points_by_key = dict(zip(keys, file_points, strict=True))
+    return module_of(to).write(marks, points_by_key)
 
 
 def _check_free_unit(mark_format: MarkFormat) -> None:
@@ -292,20 +296,25 @@ def _pixels_of(about: Fields, override: LayerPixels) -> LayerPixels:
     """Pixels of a layer, whose size may be given in place of that of the marks."""
     pixel_um = override.pixel_um
     if "pixel_um" in about and not pixel_um:
-        pixel_um = (about["pixel_um"]["y"], about["pixel_um"]["x"])
-    first = about.get("origin_um", {"x": 0.0, "y": 0.0})
-    return LayerPixels(pixel_um, (first["x"], first["y"]))
+        own_um = about["pixel_um"]
+        pixel_um = (own_um["y"], own_um["x"])
+    first_um = about.get("origin_um", {"x": 0.0, "y": 0.0})
+    return LayerPixels(pixel_um, (first_um["x"], first_um["y"]))
 
 
 def _recognised(content: Content) -> str:
-    """Name of the first format that a file looks like; FileError, with the way on, for none."""
+    """Name of the first format that a file looks like; FileError, with the way on, for none.
+
+    Formats are tried in the order of `FORMATS`.
+    """
     for name in FORMATS:
         if module_of(name).looks_like(content):
             return name
-    for starts, fault, way in _OTHERS:
-        if content.text.lstrip().startswith(starts):
-            raise FileError(f"{content.name} {fault}. {way}")
-    if content.text.lstrip().startswith("{"):
+    text = content.text.lstrip()
+    for start, fault in _OTHERS.items():
+        if text.startswith(start):
+            raise FileError(f"{content.name} {fault}. {_WAYS.get(start, _BY_HAND)}")
+    if text.startswith("{"):
         keys = ", ".join(list(content.json)[:6]) or "nothing"
         raise FileError(
             f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read:"
@@ -319,22 +328,23 @@ def _recognised(content: Content) -> str:
 
 
 def _single_list(marks: xr.Dataset, name: str) -> PointList:
-    names = layer_names(marks)
-    if len(names) != 1:
+    """Take the only layer of a file of planish as a list of points; MarkError for several."""
+    layers = layer_names(marks)
+    if len(layers) != 1:
         raise MarkError(
-            f"{name} already holds the layers {', '.join(names)}. Give it alone, or two files with"
+            f"{name} already holds the layers {', '.join(layers)}. Give it alone, or two files with"
             " one each."
         )
-    places = model.places_of(marks, names[0])
-    used = model.used_of(marks).tolist()
+    (layer,) = layers
+    places = model.places_of(marks, layer)
     return PointList(
         title=name,
         labels=model.labels_of(marks),
         points=places.um,
-        used=used,
+        used=model.used_of(marks).tolist(),
         unit="um",
         placed=True,
         extras=places.extras,
         source=places.source,
-        about=about_layer(marks, names[0]),
+        about=about_layer(marks, layer),
     )

@@ -48,7 +48,11 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> xr.Dataset | list[PointList]:
-    """Read pairs as marks, or the holes of one layer."""
+    """Read pairs as marks, or the holes of one layer.
+
+    A dataset of the layers moving or volume, and fixed, or a list of points where only ``x_um,
+    y_um`` are there. MarkError where columns or rows are missing or malformed.
+    """
     names = {name.lower() for name in content.header}
     sides = [side for side, columns in _SIDES.items() if names.intersection(columns)]
     if not sides:
@@ -61,7 +65,9 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     if "moving" in sides and "volume" in sides:
         table.faults.append("both moving and volume columns are there; keep one kind")
     rows_in_use(table)
-    places = {side: MarkPlaces(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
+    places: dict[str, MarkPlaces] = {}
+    for side in (first, "fixed"):
+        places[side] = MarkPlaces(um=table.numbers(_SIDES[side]))
     check_rows(table, "pair of marks. At least 3 rows are needed.")
     return make_marks(labels_in(table), places)
 
@@ -77,8 +83,10 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
 
 def holes_text(holes: xr.Dataset, labels: Sequence[str]) -> str:
     """Write the table of holes."""
-    columns = {f"{name}_um": holes[name].values for name in ("x", "y", "diameter") if name in holes}
-    return table_text(["label", *columns], zip(labels, *columns.values(), strict=True))
+    names = filter(holes.__contains__, ("x", "y", "diameter"))
+    columns = {f"{name}_um": holes[name].values for name in names}
+    rows = zip(labels, *columns.values(), strict=True)
+    return table_text(["label", *columns], rows)
 
 
 def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
@@ -103,7 +111,10 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
 
 
 def pairs_text(dataset: xr.Dataset) -> str:
-    """Write the table of pairs; see :func:`write_marks`."""
+    """Write the table of pairs; see :func:`write_marks`.
+
+    Only the columns that the dataset has are written; the positions of both sides have to be there.
+    """
     variables = {f"{name}".removesuffix("_um"): v for name, v in dataset.variables.items()}
     named = {f"{name}_um" for name in variables}
     sides = [side for side, names in _SIDES.items() if named.issuperset(names)]
@@ -122,6 +133,7 @@ def pairs_text(dataset: xr.Dataset) -> str:
 
 
 def _read_holes(content: Content) -> PointList:
+    """Read a table of holes as a list of points with diameters."""
     table, points, diameters = table_of_holes(content.text, content.name)
     return PointList(
         title=content.name,
@@ -138,12 +150,14 @@ def table_of_holes(text: str, name: str, *, kind: str = "mark") -> tuple[CsvTabl
 
     ``kind`` is the word for a row in a message.
     """
-    needed, diameter = ("x_um", "y_um"), "diameter_um"
+    needed = ("x_um", "y_um")
+    diameter = "diameter_um"
     table = parse_table(text, name, needed=needed, optional=(diameter,), error=MarkError)
     points = table.numbers(needed)
-    diameters = [
-        table.number(row, diameter) if table.text(row, diameter) else np.nan for row in table.rows
-    ]
+    diameters: list[float | None] = []
+    for row in table.rows:
+        is_stated = bool(table.text(row, diameter))
+        diameters.append(table.number(row, diameter) if is_stated else np.nan)
     check_rows(table, f"{kind}. One row for each is needed.")
     return table, points, np.array(diameters, dtype=np.float64)
 

@@ -32,7 +32,11 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Read the points of one file, as one list."""
+    """Read the points of one file, as one list.
+
+    Without the word ``point`` they are pixels; with it, mm are assumed, since the file states no
+    unit. Faults name the points from 1.
+    """
     name = content.name
     word, lines = _word_and_lines(content)
     axes = len(lines[0])
@@ -52,8 +56,13 @@ def read(content: Content) -> list[PointList]:
 
 
 def _word_and_lines(content: Content) -> tuple[str, list[list[str]]]:
-    """Give the word at the head of a file, and the cells of the lines of points below it."""
-    name, text = content.name, content.text
+    """Give the word at the head of a file, and the cells of the lines of points below it.
+
+    The word is ``point``, ``index`` or None. MarkError where the number of points is missing or
+    another than that of the lines.
+    """
+    name = content.name
+    text = content.text
     # Word and count may stand in one line or in two.
     head = _HEAD.match(text)
     word, count = head.groups() if head else ("", "")
@@ -61,7 +70,8 @@ def _word_and_lines(content: Content) -> tuple[str, list[list[str]]]:
         raise MarkError(
             f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}."
         )
-    lines = [*filter(None, map(str.split, text[head.end() :].splitlines()))]
+    body = text[head.end() :]
+    lines = [*filter(None, map(str.split, body.splitlines()))]
     if len(lines) != int(count):
         raise MarkError(
             f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates."

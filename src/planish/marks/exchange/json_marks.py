@@ -90,7 +90,11 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> xr.Dataset:
-    """Read the marks of a JSON file, as `make_marks` makes them."""
+    """Read the marks of a JSON file, as `make_marks` makes them.
+
+    ``attrs["registration"]`` keeps what the file says of a fit. MarkError names all faults of the
+    file.
+    """
     name = content.name
     file = _checked_file(content)
     names = [layer.name for layer in file.layers]
@@ -98,7 +102,8 @@ def read(content: Content) -> xr.Dataset:
     places: dict[str, MarkPlaces] = {}
     about: dict[str, Entries] = {}
     for layer in file.layers:
-        places[layer.name] = _places([mark.at.get(layer.name) for mark in file.marks])
+        layer_places = [mark.at.get(layer.name) for mark in file.marks]
+        places[layer.name] = _places(layer_places)
         about[layer.name] = layer.model_dump(exclude_none=True, exclude={"name"})
     results: dict[str, Floats] = {}
     for key in RESULTS:
@@ -115,8 +120,12 @@ def read(content: Content) -> xr.Dataset:
 
 
 def _checked_file(content: Content) -> _File:
-    """Check the fields of a file, each by itself."""
-    name, entries = content.name, content.json
+    """Check the fields of a file, each by itself.
+
+    MarkError for a later version, too many marks, or fields that are wrong; all of them are named.
+    """
+    name = content.name
+    entries = content.json
     version = entries.get("version")
     if type(version) is int and version > VERSION:
         raise MarkError(
@@ -131,7 +140,10 @@ def _checked_file(content: Content) -> _File:
 
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
-    """Write a JSON file, from which `read` gives the same numbers back."""
+    """Write a JSON file, from which `read` gives the same numbers back.
+
+    What is not known of a mark is left out. MarkError where something has no place in the format.
+    """
     layers = model.layer_names(marks)
     rows: list[Entries] = []
     used = model.used_of(marks).tolist()
@@ -166,11 +178,15 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
 
 def _column(parts: Sequence[Part | None], key: str) -> Floats:
     """Give the numbers of one field; NaN where it is not there."""
-    return np.array([getattr(part, key, None) for part in parts], dtype=np.float64)
+    numbers = [getattr(part, key, None) for part in parts]
+    return np.array(numbers, dtype=np.float64)
 
 
 def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
-    """Positions of one layer, with what is known of them; z where some have it."""
+    """Positions of one layer, with what is known of them; z where some have it.
+
+    None stands for a mark that is not in the layer: its numbers are NaN.
+    """
     um = np.stack([_column(layer_places, axis) for axis in "xyz"], axis=1)
     spread = np.full((len(layer_places), 2, 2), np.nan)
     sources = ["imported"] * len(layer_places)
@@ -183,11 +199,16 @@ def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
     extras["cov_xx"] = spread[:, 0, 0]
     extras["cov_xy"] = spread[:, 0, 1]
     extras["cov_yy"] = spread[:, 1, 1]
-    um = um if np.isfinite(um[:, 2]).any() else um[:, :2]
+    if not np.isfinite(um[:, 2]).any():
+        um = um[:, :2]
     return MarkPlaces(um=um, source=sources, extras=extras)
 
 
 def _place(places: MarkPlaces, k: int) -> Entries:
+    """Make the entry of mark ``k`` in a layer.
+
+    What is NaN is left out; a covariance is written where all of it is known.
+    """
     row: Entries = dict(zip("xyz", places.um[k].tolist(), strict=False))
     extras: dict[str, float] = {}
     for name, column in places.extras.items():
@@ -195,14 +216,18 @@ def _place(places: MarkPlaces, k: int) -> Entries:
             extras[name] = float(column[k])
     if extras.keys() >= {"cov_xx", "cov_xy", "cov_yy"}:
         xy = extras["cov_xy"]
-        xx, yy = extras["cov_xx"], extras["cov_yy"]
+        xx = extras["cov_xx"]
+        yy = extras["cov_yy"]
         row["covariance_um2"] = [[xx, xy], [xy, yy]]
     row |= {key: extras[name] for name, key in _POSITION.items() if name in extras}
     return row | {"source": places.source[k]}
 
 
 def _cross_field_faults(file: _File, layers: list[str]) -> list[str]:
-    """Faults that no field has for itself: layers, positions and covariances that do not fit."""
+    """Faults that no field has for itself: layers, positions and covariances that do not fit.
+
+    ``layers`` are the names of the file's layers, in order.
+    """
     counts = Counter(sorted(layers))
     faults = [f"the layer {name} is there {n} times" for name, n in counts.items() if n > 1]
     if RESIDUAL in layers:

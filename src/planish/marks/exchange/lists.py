@@ -56,7 +56,11 @@ class Content:
 
 
 def read_content(path: str | Path) -> Content:
-    """Read a file, whatever its format."""
+    """Read a file, whatever its format.
+
+    By its first bytes it is a file of MATLAB or ImageJ, JSON, or a table. FileError where it is
+    empty or damaged, MarkError where it has more marks than a sheet can have.
+    """
     place = Path(path)
     name = place.name
     data = read_bytes(place, what="file of marks")
@@ -152,7 +156,8 @@ class PointList:
     @property
     def names(self) -> list[str]:
         """Labels, or numbers from 1."""
-        return list(self.labels) or [str(k + 1) for k in range(len(self.points))]
+        numbers = [str(k + 1) for k in range(len(self.points))]
+        return list(self.labels) or numbers
 
     def counts_from_pixel(self, unit: Unit | None) -> bool:
         """Whether positions in ``unit`` count from the first pixel of the layer."""
@@ -194,10 +199,16 @@ class LayerPixels:
             )
 
     def about(self) -> Entries:
-        """Give the facts as they are kept with the marks."""
+        """Give the facts as they are kept with the marks.
+
+        As ``pixel_um``, ``origin_um`` and ``size_px``, each with ``x`` and ``y``; what is not known
+        is left out.
+        """
         about: Entries = {}
         if self.pixel_um is not None:
-            about["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
+            *_, col_um = self.pixel_um
+            row_um, *_ = self.pixel_um[-2:]
+            about["pixel_um"] = {"x": col_um, "y": row_um}
         if self.origin_um is not None:
             x, y = map(float, self.origin_um)
             about["origin_um"] = {"x": x, "y": y}
@@ -207,7 +218,11 @@ class LayerPixels:
         return about
 
     def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
-        """Give the place of the first pixel, and length of one unit, along x, y (and z) in um."""
+        """Give the place of the first pixel, and length of one unit, along x, y (and z) in um.
+
+        ``axes`` is 2, or 3 for points of a volume; ``name`` and ``side`` are those of the file and
+        of the layer, for messages. SizeError where pixels are meant and their size is not known.
+        """
         origin = np.zeros(axes)
         origin[:2] = self.origin_um or (0.0, 0.0)
         if unit != "pixel":
@@ -260,7 +275,8 @@ def join_lists(
         coordinates = _coordinates(point_list, side, name)
         layer = side
         if side == "moving" and coordinates.shape[1] == 3:
-            layer, facts = "volume", volume
+            layer = "volume"
+            facts = volume
         places[layer] = _places(point_list, coordinates, side, facts, unit, name)
         about[layer] = dict(point_list.about) | facts.about()
         if point_list.counts_from_pixel(unit):
@@ -350,7 +366,11 @@ def _places(
     unit: Unit | None,
     name: str,
 ) -> MarkPlaces:
-    """Convert points, and what else is known of them, to um."""
+    """Convert points, and what else is known of them, to um.
+
+    ``coordinates`` (n, 2) or (n, 3) are those of the list, ``facts`` the pixels of the layer;
+    without a ``unit`` that of the list holds.
+    """
     unit = unit or point_list.unit
     assert unit is not None
     axes = coordinates.shape[1]

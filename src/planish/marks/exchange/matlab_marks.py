@@ -34,7 +34,10 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Read the moving and fixed points of a file."""
+    """Read the moving and fixed points of a file.
+
+    In pixels from 0: one is taken off, since MATLAB counts from 1.
+    """
     name = content.name
     matrices = _matrices(content)
     pair = next((p for p in NAMES if matrices.keys() >= {*p}), None)
@@ -92,6 +95,10 @@ def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
 
 
 def _checked(matrix: Floats | None, variable: str, name: str) -> Floats:
+    """Give a matrix (n, 2) of positions as float64.
+
+    MarkError for None, which is no real matrix, another shape, or a position that is not finite.
+    """
     if matrix is None or matrix.shape[1] != 2:
         size = "no real matrix"
         if matrix is not None:

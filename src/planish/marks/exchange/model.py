@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -43,10 +44,9 @@ class MarkPlaces:
 
     #: (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer.
     um: Floats
-    #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``,
+    #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported`` or ``tile`` (of texture).
     source: str | Sequence[str] = "imported"
-    #: or ``tile`` of a texture
-    #: of `EXTRAS`, (n,); NaN where not known.
+    #: Some of `EXTRAS`, (n,) each; NaN where not known.
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
     @classmethod
@@ -55,8 +55,10 @@ class MarkPlaces:
 
         NaN where the row is -1.
         """
-        names = [name for name in ("x", "y", *EXTRAS) if name in holes]
-        values = {name: np.append(holes[name].values, np.nan)[rows] for name in names}
+        values: dict[str, Floats] = {}
+        for name in filter(holes.__contains__, ("x", "y", *EXTRAS)):
+            # The last row is that of the holes that are missing, -1.
+            values[name] = np.append(holes[name].values, np.nan)[rows]
         um = np.stack([values.pop("x"), values.pop("y")], axis=1)
         return cls(um=um, source=source, extras=values)
 
@@ -97,7 +99,8 @@ def make_marks(
         If a layer's name cannot be used.
     """
     names = np.array(list(labels), dtype=np.str_)
-    is_used = np.ones(len(labels), bool) if used is None else np.array(used, dtype=bool)
+    stated = np.ones(len(labels)) if used is None else used
+    is_used = np.array(stated, dtype=bool)
     variables: Entries = {
         "label": ("mark", names, {"long_name": "Name of the mark"}),
         "used": ("mark", is_used, {"long_name": "Takes part in the fit"}),
@@ -112,7 +115,10 @@ def make_marks(
 
 
 def _layer_columns(layer: str, places: MarkPlaces) -> Entries:
-    """Variables of one layer of marks."""
+    """Variables of one layer of marks.
+
+    By their names in the dataset of `make_marks`. MarkError where the layer's name cannot be used.
+    """
     if not NAME.fullmatch(layer) or layer == RESIDUAL:
         raise MarkError(
             f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as"
@@ -122,10 +128,11 @@ def _layer_columns(layer: str, places: MarkPlaces) -> Entries:
     where = _TITLES.get(layer, f"in {layer}")
     for axis, values in zip("xyz", places.um.T, strict=False):
         columns[f"{layer}_{axis}"] = _column(values, "um", f"Mark {where}, {axis}")
-    for name, (units, text) in EXTRAS.items():
-        if name in places.extras and np.isfinite(places.extras[name]).any():
-            column = _column(places.extras[name], units, f"{text}, {where}")
-            columns[f"{layer}_{name}"] = column
+    for name in filter(places.extras.__contains__, EXTRAS):
+        values = places.extras[name]
+        units, text = EXTRAS[name]
+        if np.isfinite(values).any():
+            columns[f"{layer}_{name}"] = _column(values, units, f"{text}, {where}")
     stated = np.array(places.source, dtype=np.str_)
     source = np.broadcast_to(stated, len(places.um)).copy()
     columns[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
@@ -142,10 +149,11 @@ def layer_names(marks: xr.Dataset) -> list[str]:
 
     Also of pairs and of a run's marks, which have no list of layers.
     """
-    ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
-    names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
+    stems = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
+    names = [name for name in stems if f"{name}_y" in marks and name != RESIDUAL]
     listed: Fields = marks.attrs.get("layers", {})
-    return [name for name in dict.fromkeys([*listed, *names]) if name in names]
+    ordered = dict.fromkeys([*listed, *names])
+    return [name for name in ordered if name in names]
 
 
 def about_layer(marks: xr.Dataset, layer: str) -> Entries:
@@ -164,8 +172,9 @@ def points_of(marks: xr.Dataset, layer: str) -> Floats:
 
     NaN where a mark is not in it.
     """
-    axes = [f"{layer}_{axis}" for axis in "xyz" if f"{layer}_{axis}" in marks]
-    return np.stack([marks[name].values for name in axes], axis=1).astype(np.float64)
+    names = filter(marks.__contains__, [f"{layer}_{axis}" for axis in "xyz"])
+    columns = [marks[name].values for name in names]
+    return np.stack(columns, axis=1).astype(np.float64)
 
 
 def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
@@ -181,7 +190,8 @@ def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
 
 def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
     """Return which marks have a position in all layers."""
-    return np.all([are_known(points_of(marks, layer)) for layer in layers], axis=0)
+    known_by_layer = [are_known(points_of(marks, layer)) for layer in layers]
+    return np.all(known_by_layer, axis=0)
 
 
 def used_in(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
@@ -236,7 +246,8 @@ def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Fields | None = None
     """
     rows = np.arange(holes.sizes["mark"])
     names = [f"hole {k + 1}" for k in rows]
-    return make_marks(names, {layer: MarkPlaces.of_holes(holes, rows)}, about={layer: about or {}})
+    places = MarkPlaces.of_holes(holes, rows)
+    return make_marks(names, {layer: places}, about={layer: about or {}})
 
 
 def join_holes(
@@ -244,7 +255,8 @@ def join_holes(
 ) -> xr.Dataset:
     """Make marks of two layers' holes: first ``pairs``, with labels, then single holes.
 
-    ``pairs`` is (k, 2: rows of moving and fixed).
+    ``pairs`` is (k, 2: rows of moving and fixed); none where None. Single holes are named by their
+    side and number.
     """
     rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
     names = [*labels]
@@ -252,15 +264,17 @@ def join_holes(
     about = dict[str, Entries]()
     sides = {"moving": moving, "fixed": fixed}
     for k, (side, holes) in enumerate(sides.items()):
-        single_rows = np.setdiff1d(np.arange(holes.sizes["mark"]), rows[:, k])
+        all_rows = np.arange(holes.sizes["mark"])
+        single_rows = np.setdiff1d(all_rows, rows[:, k])
         names += [f"{side} {row + 1}" for row in single_rows]
         added_rows = np.full((single_rows.size, 2), -1)
         added_rows[:, k] = single_rows
         rows = np.concatenate([rows, added_rows])
-    for k, (side, holes) in enumerate(sides.items()):
-        layers[side] = MarkPlaces.of_holes(holes, rows[:, k], holes.attrs.get("source", "detected"))
-        attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
-        about[side] = {key: attribute for key, attribute in attrs.items() if attribute is not None}
+    for (side, holes), side_rows in zip(sides.items(), rows.T, strict=True):
+        source = holes.attrs.get("source", "detected")
+        layers[side] = MarkPlaces.of_holes(holes, side_rows, source)
+        facts = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
+        about[side] = {key: fact for key, fact in facts.items() if fact is not None}
     return make_marks(names, layers, about=about)
 
 
@@ -295,20 +309,23 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     """
     tiles = tiles_of(marks)
     assumed_um = np.nan if tiles.any() else usual_um
-    holes = holes.isel(mark=in_layers(holes, [layer]) & ~tiles_of(holes))
+    is_hole = in_layers(holes, [layer]) & ~tiles_of(holes)
+    holes = holes.isel(mark=is_hole)
     mark_um = _diameters(marks, layer)
     hole_um = _diameters(holes, layer)
     points = points_of(marks, layer)
-    distances = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
+    offsets = points[:, None] - points_of(holes, layer)
+    distances = np.linalg.norm(offsets, axis=2)
     distances[~(distances < 0.5 * hole_um)] = np.inf
     # The nearest hole; the number after the last one where a mark lies in none.
     none_at = np.full((len(distances), 1), np.finfo(np.float64).max)
     hole_rows = np.argmin(np.hstack([distances, none_at]), axis=1)
-    diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, assumed_um)[hole_rows])
+    found_um = np.append(hole_um, assumed_um)[hole_rows]
+    diameters = np.where(np.isfinite(mark_um), mark_um, found_um)
     diameters[tiles | ~are_known(points)] = np.nan
-    columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
+    layer_columns = [column for column in holes if str(column).startswith(f"{layer}_")]
     unmarked_rows = np.setdiff1d(np.arange(len(hole_um)), hole_rows)
-    unmarked = holes[columns].isel(mark=unmarked_rows)
+    unmarked = holes[["label", *layer_columns]].isel(mark=unmarked_rows)
     unmarked = unmarked.assign(used=("mark", np.ones(len(unmarked_rows))))
     with_diameters = marks.assign({f"{layer}_diameter": ("mark", diameters, {"units": "um"})})
     joined = xr.concat(
@@ -326,6 +343,7 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
 
 
 def _diameters(marks: xr.Dataset, layer: str) -> Floats:
+    """Diameters (n,) of the marks in a layer, in um; NaN where they are not known."""
     unknown = np.full(marks.sizes["mark"], np.nan)
     return places_of(marks, layer).extras.get("diameter", unknown)
 
@@ -373,10 +391,10 @@ def used_pairs(
         )
     side = "volume" if f"{first}_z" in marks else "moving"
     variables: Entries = {"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))}
-    for layer, role in ((first, side), (second, "fixed")):
-        for axis in "xyz":
-            if f"{layer}_{axis}" in pairs:
-                variables[f"{role}_{axis}"] = pairs[f"{layer}_{axis}"]
+    roles = ((first, side), (second, "fixed"))
+    for (layer, role), axis in product(roles, "xyz"):
+        if f"{layer}_{axis}" in pairs:
+            variables[f"{role}_{axis}"] = pairs[f"{layer}_{axis}"]
     return xr.Dataset(variables)
 
 
@@ -436,7 +454,12 @@ def _check_layer(marks: xr.Dataset, layer: str) -> None:
 
 
 def check_marks(marks: xr.Dataset, name: str) -> None:
-    """Refuse marks that are not unique or lie at no finite position."""
+    """Refuse marks that are not unique or lie at no finite position.
+
+    MarkError names all faults: labels that are there twice, a position that is incomplete or
+    farther than a kilometre, two used marks at one place. ``name`` is that of the file, for
+    messages.
+    """
     labels = labels_of(marks)
     used = used_of(marks)
     if not labels:
@@ -475,19 +498,25 @@ def check_plausible(marks: xr.Dataset, name: str, unit: Unit | None) -> None:
     for layer in layer_names(marks):
         about = {"origin_um": {"x": 0.0, "y": 0.0}} | about_layer(marks, layer)
         points = points_of(marks, layer)[in_layers(marks, [layer]), :2]
-        is_sized = len(points) >= 3 and {"pixel_um", "size_px"} <= about.keys()
-        if is_sized and (misfit_text := _misfit(points, about, stated, assumed)):
+        if len(points) < 3 or not {"pixel_um", "size_px"} <= about.keys():
+            continue
+        misfit_text = _misfit(points, about, stated, assumed)
+        if misfit_text:
             raise MarkError(f"{name}: the marks in {layer} span {misfit_text}")
 
 
 def _misfit(points: Floats, about: Entries, stated: bool, assumed: str) -> str:
-    """Describe why marks cannot be um in their layer; empty where they can.
+    """Describe why marks (n, 2) cannot be um in their layer; empty where they can.
 
-    In a unit that was ``assumed``, they may be pixels where their numbers lie in the layer as such
-    and reach over more than a quarter of it along one side, as marks are set far apart. Taken as um
-    they would all lie in its first corner, a quarter of it or less for pixels of 2 um or more.
+    ``about`` holds the layer's ``pixel_um``, ``size_px`` and ``origin_um``; ``stated`` says whether
+    the file states its unit. In a unit that was ``assumed``, they may be pixels where their numbers
+    lie in the layer as such and reach over more than a quarter of it along one side, as marks are
+    set far apart. Taken as um they would all lie in its first corner, a quarter of it or less for
+    pixels of 2 um or more.
     """
-    pixel, count, origin = (_xy(about[key]) for key in ("pixel_um", "size_px", "origin_um"))
+    pixel = _xy(about["pixel_um"])
+    count = _xy(about["size_px"])
+    origin = _xy(about["origin_um"])
     size = pixel * count
     span = np.ptp(points, axis=0)
     placed = points - origin
@@ -507,8 +536,9 @@ def _misfit(points: Floats, about: Entries, stated: bool, assumed: str) -> str:
         )
     if is_inside.all():
         is_dot = span.max() < 0.01 * size.max()
-        looks_mm = is_dot and _inside(points * 1000, size).all()
-        return f"{spans}: they look like mm. {_remedy('mm', stated)}" if looks_mm else ""
+        if is_dot and _inside(points * 1000, size).all():
+            return f"{spans}: they look like mm. {_remedy('mm', stated)}"
+        return ""
     reason = (
         f"{np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit, the"
         " pixel size, and that they belong to this image"
@@ -528,7 +558,11 @@ def _xy(sides: Mapping[str, float]) -> Floats:
 
 
 def _fill_as_pixels(placed: Floats, count: Floats, pixel: Floats, assumed: str) -> bool:
-    """Return whether numbers in an ``assumed`` unit reach over a quarter of so many pixels."""
+    """Return whether numbers in an ``assumed`` unit reach over a quarter of so many pixels.
+
+    ``placed`` (n, 2) are um from the layer's first pixel, ``count`` its pixels and ``pixel`` their
+    size in um, along x and y. Pixels of less than 4 um2 cannot be told from um.
+    """
     numbers = placed / 1000 if assumed == "mm" else placed
     span_share = (np.ptp(numbers, axis=0) / count).max()
     is_spread = span_share > 0.25 and _inside(numbers, count).all()
@@ -540,18 +574,21 @@ def _look_clicked(points: Floats, placed: Floats, pixel: Floats) -> bool:
     are_halves = np.all(points * 2 == np.round(points * 2))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
     places_px = placed / pixel
-    are_pixels = np.all(np.abs(places_px - np.round(places_px)) < 1e-6)
+    off_px = np.abs(places_px - np.round(places_px))
+    are_pixels = np.all(off_px < 1e-6)
     # Pixels of nearly 1 um cannot be distinguished from um.
     return bool(are_halves and not are_pixels and pixel.max() > 1.5)
 
 
 def _remedy(unit: str, stated: bool) -> str:
     """Advise what to do with positions in another unit than um."""
+    factor = "1000"
+    sizes = ""
+    if unit == "pixel":
+        factor = "the pixel size"
+        sizes = ", `moving_pixel_um` and `fixed_pixel_um`"
     if stated:
-        return (
-            f"The file says um: multiply them by {'the pixel size' if unit == 'pixel' else '1000'}."
-        )
-    sizes = ", `moving_pixel_um` and `fixed_pixel_um`" if unit == "pixel" else ""
+        return f"The file says um: multiply them by {factor}."
     return f"Convert them by planish marks convert, given `unit={unit}`{sizes}."
 
 
@@ -560,7 +597,8 @@ def _inside(points: Floats, size: Floats) -> Bools:
 
     Borders are cut in many ways.
     """
-    return np.all((points >= -0.05 * size) & (points <= 1.05 * size), axis=1)
+    is_within = (points >= -0.05 * size) & (points <= 1.05 * size)
+    return np.all(is_within, axis=1)
 
 
 def _size(um: Floats) -> str:

@@ -23,7 +23,12 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Read the points of all selections as one list."""
+    """Read the points of all selections as one list.
+
+    Each point has the name of its selection, with a number where that has several. MarkError for
+    what are no points, and for points on several slices of a stack; names that are there twice are
+    left out.
+    """
     name = content.name
     faults = list[str]()
     points: list[Floats] = []

@@ -58,46 +58,55 @@ def _markups(entries: Any) -> list[Any]:
 
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
-    """Write one list for each layer, in mm."""
+    """Write one list for each layer, in mm.
+
+    ``points`` are positions (n, 2) or (n, 3) by the name of the list, NaN where a mark is not set.
+    """
     labels = labels_of(marks)
     used = used_of(marks).tolist()
     markups: list[Entries] = []
     for role, places in points.items():
-        controls: list[Entries] = []
-        for k, place in enumerate(places.tolist()):
-            is_set = bool(np.isfinite(place).all())
-            control = {
-                "id": str(k + 1),
-                "label": labels[k],
-                "description": "",
-                "associatedNodeID": "",
-                "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0],
-                "selected": used[k],
-                "locked": False,
-                "visibility": True,
-                "positionStatus": "defined" if is_set else "undefined",
-            }
-            controls.append(control)
-        markups.append(
-            {
-                "type": "Fiducial",
-                "name": role,
-                "coordinateSystem": "LPS",
-                "coordinateUnits": "mm",
-                "locked": False,
-                "fixedNumberOfControlPoints": False,
-                "labelFormat": "%N-%d",
-                "lastUsedControlPointNumber": len(labels),
-                "controlPoints": controls,
-            }
-        )
+        rows = zip(labels, used, places.tolist(), strict=True)
+        controls = [_control(number, *row) for number, row in enumerate(rows, 1)]
+        markup = {
+            "type": "Fiducial",
+            "name": role,
+            "coordinateSystem": "LPS",
+            "coordinateUnits": "mm",
+            "locked": False,
+            "fixedNumberOfControlPoints": False,
+            "labelFormat": "%N-%d",
+            "lastUsedControlPointNumber": len(labels),
+            "controlPoints": controls,
+        }
+        markups.append(markup)
     content = {"@schema": SCHEMA, "markups": markups}
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     return {"": f"{text}\n".encode()}
 
 
+def _control(number: int, label: str, is_used: bool, place: list[float]) -> Entries:
+    """Make a point of a list; ``place`` is x, y (and z) in mm, NaN where it is not set."""
+    is_set = bool(np.isfinite(place).all())
+    return {
+        "id": str(number),
+        "label": label,
+        "description": "",
+        "associatedNodeID": "",
+        "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0],
+        "selected": is_used,
+        "locked": False,
+        "visibility": True,
+        "positionStatus": "defined" if is_set else "undefined",
+    }
+
+
 def _point_list(markup: Fields, k: int, name: str) -> PointList:
-    """Points of a list, in its unit and as LPS; a place that is not defined is NaN."""
+    """Points of a list, in its unit and as LPS; a place that is not defined is NaN.
+
+    ``markup`` is an entry of the file, number ``k`` from 0. MarkError names all points that are
+    malformed.
+    """
     title = str(markup.get("name") or f"list {k + 1}")
     coordinate_system: object = markup.get("coordinateSystem", "LPS")
     if coordinate_system not in _SIGNS:
@@ -136,7 +145,10 @@ def _point_list(markup: Fields, k: int, name: str) -> PointList:
 
 
 def _position(control: Fields, point_text: str, faults: list[str]) -> list[float | None]:
-    """Place of a point, which may be set nowhere; what is wrong with it goes into ``faults``."""
+    """Place of a point, which may be set nowhere; what is wrong with it goes into ``faults``.
+
+    The place is x, y, z in the unit of the list, None three times where there is none.
+    """
     status: Any = control.get("positionStatus", "defined")
     if status != "defined":
         if status not in ("undefined", "preview"):

@@ -15,8 +15,10 @@ def flip_crossings(ring, y, x, odd):
     counts once.
     """
     for k in range(ring.shape[0]):
-        xa, ya = ring[k - 1, 0], ring[k - 1, 1]
-        xb, yb = ring[k, 0], ring[k, 1]
+        xa = ring[k - 1, 0]
+        ya = ring[k - 1, 1]
+        xb = ring[k, 0]
+        yb = ring[k, 1]
         if ya > yb:
             xa, ya, xb, yb = xb, yb, xa, ya
         for i in range(np.searchsorted(y, ya), np.searchsorted(y, yb)):

@@ -85,9 +85,11 @@ def read_regions(path: str | Path) -> Regions:
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
         root, features = _features(content, name)
-        units = root.get("units", "pixel" if any(map(_is_of_qupath, features)) else "um")
+        is_of_qupath = any(map(_is_of_qupath, features))
+        units = root.get("units", "pixel" if is_of_qupath else "um")
         for k, feature in enumerate(features, 1):
-            readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
+            title = f"region {k}"
+            readers.append((title, partial(_region, feature, title)))
     in_pixels = units in ("pixel", "px")
     faults: list[str] = []
     if units != "um" and not in_pixels:
@@ -118,7 +120,11 @@ def _check_size(regions: Sequence[Region], name: str) -> None:
 
 
 def _selection(data: bytes, default_name: str) -> Region:
-    """Make a region of a selection; ValueError, with the reason, where it is none."""
+    """Make a region of a selection; ValueError, with the reason, where it is none.
+
+    In pixels as `ImagejRoi` counts; reason and author are taken from the properties of the
+    selection.
+    """
     roi = selection_of(data)
     if roi.roitype in _NO_AREA or roi.subtype in _OVERLAYS:
         raise ValueError(
@@ -138,7 +144,11 @@ def _selection(data: bytes, default_name: str) -> Region:
 
 
 def _border(roi: ImagejRoi, type_number: int) -> Ring:
-    """Give the border of a selection that is a single polygon, rectangle or oval."""
+    """Give the border of a selection that is a single polygon, rectangle or oval.
+
+    ``type_number`` is that in the file, for the message. ValueError, with the reason, for what is
+    none.
+    """
     if roi.roitype in (ROI_TYPE.RECT, ROI_TYPE.OVAL):
         if roi.roitype == ROI_TYPE.RECT and roi.rounded_rect_arc_size > 0:
             raise ValueError("it is a rectangle with rounded corners")
@@ -155,14 +165,24 @@ def _border(roi: ImagejRoi, type_number: int) -> Ring:
 
 
 def _box(roi: ImagejRoi) -> Ring:
-    """Give the corners of a rectangle; or an oval, as a polygon with its points on it."""
-    x, y, w, h = roi.left, roi.top, roi.right - roi.left, roi.bottom - roi.top
+    """Give the corners of a rectangle; or an oval, as a polygon with its points on it.
+
+    In pixels, from the corner of the first one.
+    """
+    x = roi.left
+    y = roi.top
+    w = roi.right - roi.left
+    h = roi.bottom - roi.top
     if roi.subpixelrect:
-        x, y, w, h = roi.xd, roi.yd, roi.widthd, roi.heightd
+        x = roi.xd
+        y = roi.yd
+        w = roi.widthd
+        h = roi.heightd
     if not (0 < w <= 1e6 and 0 < h <= 1e6):
         raise ValueError(f"it is {w:g} x {h:g} pixels large")
     if roi.roitype == ROI_TYPE.RECT:
-        return np.add((x, y), [(0, 0), (w, 0), (w, h), (0, h)])
+        corners = [(0, 0), (w, 0), (w, h), (0, h)]
+        return np.add((x, y), corners)
     radius = max(0.5 * max(w, h), 1.0)
     # The polygon of an oval may lie a hundredth of a pixel inside it.
     count = math.ceil(np.pi / math.acos(1 - 0.01 / radius))
@@ -173,7 +193,10 @@ def _box(roi: ImagejRoi) -> Ring:
 
 
 def _composite_rings(roi: ImagejRoi) -> Iterator[Ring]:
-    """Yield the borders of a composite selection."""
+    """Yield the borders of a composite selection.
+
+    Each is (n, 2), x and y in pixels. ValueError, with the reason, where they cannot be read.
+    """
     if roi.shape_roi_size > 3 * MOST_POINTS:
         raise ValueError(f"it has {roi.shape_roi_size} numbers; {MOST_POINTS} points are possible")
     try:
@@ -204,6 +227,8 @@ def _features(data: bytes, name: str) -> tuple[Entries, list[Any]]:
     """Read a FeatureCollection or a Feature, and its features.
 
     A bare Polygon or MultiPolygon becomes one, as does a list of features.
+
+    FileError for what is no JSON, no GeoJSON of regions, or too large.
     """
     text = decode_text(data, name, what="file of regions")
     # Every point has a bracket: what has far more of them would fill the memory when it is decoded.
@@ -237,7 +262,10 @@ def _features(data: bytes, name: str) -> tuple[Entries, list[Any]]:
 
 
 def _region(feature: object, default_name: str) -> Region:
-    """Make a region of a feature of GeoJSON; ValueError, with the reason, where it is none."""
+    """Make a region of a feature of GeoJSON; ValueError, with the reason, where it is none.
+
+    Coordinates are in the unit of the file. Without a name of its own it has the default one.
+    """
     geometry = _object(_object(feature).get("geometry"))
     properties = _object(feature).get("properties")
     geometry_type = geometry.get("type")
@@ -256,6 +284,7 @@ def _region(feature: object, default_name: str) -> Region:
 
 
 def _ring(points: object) -> Ring:
+    """Make a border of the positions of GeoJSON; ValueError, with the reason, where it is none."""
     positions = _list(points, "a border")
     # A third number, which the format allows, is a height.
     for k, position in enumerate(positions, 1):
@@ -263,7 +292,8 @@ def _ring(points: object) -> Ring:
         if not is_pair or any(type(v) not in (int, float) for v in position):
             raise ValueError(f"position {k} of a border is not [x, y]")
     try:
-        return ring_of(np.array([position[:2] for position in positions], dtype=np.float64))
+        points_xy = [position[:2] for position in positions]
+        return ring_of(np.array(points_xy, dtype=np.float64))
     except OverflowError as error:
         raise ValueError("a coordinate is beyond all numbers") from error
 

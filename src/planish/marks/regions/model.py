@@ -50,7 +50,8 @@ class Region:
         right, lower = points.max(axis=0)
         rows = slice(*np.searchsorted(grid.y_um, (upper, lower)))
         cols = slice(*np.searchsorted(grid.x_um, (left, right)))
-        y, x = grid.y_um[rows], grid.x_um[cols]
+        y = grid.y_um[rows]
+        x = grid.x_um[cols]
         inside = np.zeros((y.size, x.size), dtype=bool)
         if not inside.size:
             return (rows, cols), inside
@@ -128,12 +129,16 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
     for k, ring in enumerate(rings):
         if k not in polygons:
             outer = [j for j in enclosing[k] if j in polygons]
-            polygons[max(outer, key=lambda j: len(enclosing[j]))].append(ring)
+            innermost = max(outer, key=lambda j: len(enclosing[j]))
+            polygons[innermost].append(ring)
     return tuple(map(tuple, polygons.values()))
 
 
 def _enclosing(rings: Sequence[Ring]) -> list[list[int]]:
-    """Numbers of the borders that lie around each."""
+    """Numbers of the borders that lie around each.
+
+    A list for each border (n, 2), decided at a few middles of its edges.
+    """
     lows = np.array([ring.min(axis=0) for ring in rings])
     highs = np.array([ring.max(axis=0) for ring in rings])
     enclosing: list[list[int]] = []
@@ -141,7 +146,8 @@ def _enclosing(rings: Sequence[Ring]) -> list[list[int]]:
         # Borders may touch, so that single places of one may lie on another: most of a few decide.
         edge_middles = 0.5 * (ring + np.roll(ring, -1, axis=0))
         probes = edge_middles[:: max(1, len(ring) // 5)]
-        encloses = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
+        is_around = (lows <= lows[k]) & (highs >= highs[k])
+        encloses = is_around.all(axis=1)
         encloses[k] = False
         candidates = np.flatnonzero(encloses).tolist()
         enclosing.append([j for j in candidates if _holds_most(rings[j], probes)])
@@ -149,13 +155,14 @@ def _enclosing(rings: Sequence[Ring]) -> list[list[int]]:
 
 
 def _holds_most(ring: Ring, places: Floats) -> bool:
-    """True if more than half of some places lie within a border."""
-    xa, ya = ring.T
-    xb, yb = np.roll(ring, -1, axis=0).T
+    """True if more than half of some places (n, 2) lie within a border."""
+    edges = np.hstack([ring, np.roll(ring, -1, axis=0)])
     n_inside = 0
     for x, y in places:
-        crossed = (ya <= y) != (yb <= y)
-        crossing_x = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
+        # Inside, an odd number of edges crosses the line to the right.
+        is_above = edges[:, 1::2] <= y
+        xa, ya, xb, yb = edges[is_above[:, 0] != is_above[:, 1]].T
+        crossing_x = xa + (y - ya) * (xb - xa) / (yb - ya)
         n_inside += int(np.count_nonzero(crossing_x > x)) % 2
     return 2 * n_inside > len(places)
 

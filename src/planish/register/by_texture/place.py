@@ -5,7 +5,7 @@ The place of the whole, and of tiles.
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage, optimize
@@ -44,40 +44,45 @@ def tuned_place(
 
     What an image shows of other maps, and of the face's slopes in light from one side, moves one
     map's best place. ``reach_um`` is about how far off the corners of the map are at the start.
+    Places are from the moving to the fixed textures, in um from their first pixels.
     """
+    map_name, image_name = names
     rows, cols = np.nonzero(moving.known)
     every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
-    rows, cols = rows[::every], cols[::every]
+    rows = rows[::every]
+    cols = cols[::every]
     points = np.column_stack([cols, rows]) * moving.pixel_um[::-1]
-    maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *other_maps)])
+    names_of_maps = (map_name, *other_maps)
+    maps = np.stack([moving.maps[name][rows, cols] for name in names_of_maps])
     middle = points.mean(axis=0)
-    image = _Sampled(fixed, names[1])
+    image = _Sampled(fixed, image_name)
     arm_um = rms_length(points - middle)
 
-    def placed(p: Floats) -> Similarity:
-        scale = start.scale * math.exp(p[3] / arm_um)
-        rotation_rad = start.rotation_rad + p[2] / arm_um
+    # Shift along x and y, turn and stretch, each as a length at the arm, in um.
+    def placed(step: Floats) -> Similarity:
+        shift_um, (turn_um, stretch_um) = step.reshape(2, 2)
+        scale = start.scale * math.exp(stretch_um / arm_um)
+        rotation_rad = start.rotation_rad + turn_um / arm_um
         turn = replace(start, scale=scale, rotation_rad=rotation_rad)
-        return nearest_similarity(turn.matrix(), middle, start(middle) + p[:2])
+        return nearest_similarity(turn.matrix(), middle, start(middle) + shift_um)
 
-    def unexplained(p: Floats) -> float:
-        grey, is_known = image(placed(p)(points))
+    # 1 - R² of a regression of the image on all maps.
+    def unexplained(step: Floats) -> float:
+        grey, is_known = image(placed(step)(points))
         if np.count_nonzero(is_known) < _LEAST_PIXELS:
             return 1.0
         known_maps = maps[:, is_known]
         centred = known_maps - known_maps.mean(axis=1, keepdims=True)
-        grey = grey[is_known] - grey[is_known].mean()
+        grey = grey[is_known]
+        grey = grey - grey.mean()
         products = centred @ grey
         explained = products @ np.linalg.pinv(centred @ centred.T) @ products
         return 1.0 - float(explained / (grey @ grey))
 
-    simplex = np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)])
-    optimum = optimize.minimize(
-        unexplained,
-        np.zeros(4),
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 0.05, "fatol": 1e-6, "maxfev": 400},
-    )
+    start_step = np.zeros(4)
+    simplex = np.vstack([start_step, 0.5 * reach_um * np.eye(4)])
+    limits: Any = {"initial_simplex": simplex, "xatol": 0.05, "fatol": 1e-6, "maxfev": 400}
+    optimum = optimize.minimize(unexplained, start_step, method="Nelder-Mead", options=limits)
     return placed(optimum.x)
 
 
@@ -93,7 +98,8 @@ def shifted_place(
     """Shift a place to where a map, with those ``other_maps``, explains most of the image.
 
     A map goes with its own slopes a quarter of a wave off. Where those are much of what an image
-    shows, it is found there, and cannot climb back.
+    shows, it is found there, and cannot climb back. Lags up to ``reach_um`` are tried; the place
+    stays where none of them can be judged.
     """
     image, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
     shown = _standard_maps(moving, (names[0], *other_maps), is_valid)
@@ -149,30 +155,37 @@ def tile_places(
     to by itself. What the maps ``other_maps`` and ``light``, the slopes of the face, explain is
     taken with it: light moves no tile. ``strain`` is that by which the layers may differ from the
     place: tiles are sought as far off as it takes the corners, and none is so large that it blurs
-    them.
+    them. Tiles that do not stand out from chance, or doubt the place of another one, are left out.
     """
     pixel_um = moving.pixel_um
-    b, is_valid = _on_moving_pixels(moving, fixed, names[1], place)
-    shown = _standard_maps(moving, (names[0], *other_maps, *light), is_valid)
-    a = shown[0]
+    map_name, image_name = names
+    b, is_valid = _on_moving_pixels(moving, fixed, image_name, place)
+    shown = _standard_maps(moving, (map_name, *other_maps, *light), is_valid)
+    a, *others = shown
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
     if light:
         shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light))
-    if len(shown) > 1:
-        weights, *_ = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)
-        a = math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1)
-        a = standard(a, is_valid)
-        relation = replace(relation, r=math.copysign(relation.r, weights[0]))
-    row_um, col_um = pixel_um
+    if others:
+        columns = shown[:, is_valid].T
+        weights, *_ = np.linalg.lstsq(columns, b[is_valid], rcond=None)
+        # All maps as the image shows them, with the sign of the map that leads.
+        sign = math.copysign(1.0, weights[0])
+        a = standard(sign * np.tensordot(weights, shown, 1), is_valid)
+        relation = replace(relation, r=math.copysign(relation.r, sign))
     sides_um = np.multiply(moving.known.shape, pixel_um)
-    reach_um = _REACH_UM + min(0.5 * strain * math.hypot(*sides_um), 0.1 * sides_um.min())
-    reach = (max(round(reach_um / row_um), 3), max(round(reach_um / col_um), 3))
-    least_um = 2.2 * np.multiply(np.add(reach, MARGIN), pixel_um).max()
+    corner_um = 0.5 * strain * math.hypot(*sides_um)
+    reach_um = _REACH_UM + min(corner_um, 0.1 * sides_um.min())
+    row_reach, col_reach = (max(round(reach_um / p), 3) for p in pixel_um)
+    # A tile that is correlated at all these lags keeps half of its pixels.
+    searched_um = np.multiply((row_reach + MARGIN, col_reach + MARGIN), pixel_um)
+    least_um = 2.2 * searched_um.max()
     even_sides = np.array(moving.known.shape) // 2 * 2
     short_um = np.multiply(even_sides, pixel_um).min()
     stands_out = abs(relation.z) / _TILE_Z
-    side_um = math.sqrt(moving.n * row_um * col_um) / max(stands_out, 1e-9)
+    row_um, col_um = pixel_um
+    whole_um = math.sqrt(moving.n * row_um * col_um)
+    side_um = whole_um / max(stands_out, 1e-9)
     side_um = min(side_um, 0.5 * short_um, _REACH_UM / max(strain, 1e-9))
     unrelated = PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))
     field = lag_field(
@@ -180,28 +193,30 @@ def tile_places(
         b,
         is_valid,
         pixel_um,
-        reach=reach,
+        reach=(row_reach, col_reach),
         overlapping=False,
         tile_um=float(max(side_um, least_um)),
         unrelated=[*unrelated],
     )
-    at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
+    at_um = field.at_um[field.distinct]
+    lag_um = field.lag_um[field.distinct]
     turn = place.matrix()
     off_um = np.hypot(*field.lag_um.T)
     there_count = np.count_nonzero(off_um <= max(pixel_um))
     covariance_um2 = field.covariance_um2[field.distinct]
     return TilePlaces(
-        at_um,
-        place(at_um + lag_um),
-        turn @ covariance_um2 @ turn.T,
-        turn @ shared_um2 @ turn.T,
-        relation.r,
-        place.similarity,
-        bool(there_count >= _MOST_TILES * off_um.size),
+        moving_um=at_um,
+        fixed_um=place(at_um + lag_um),
+        covariance_um2=turn @ covariance_um2 @ turn.T,
+        shared_um2=turn @ shared_um2 @ turn.T,
+        r=relation.r,
+        place=place.similarity,
+        is_there=bool(there_count >= _MOST_TILES * off_um.size),
     )
 
 
 def _standard_maps(moving: Textures, names: Texts, is_valid: Bools) -> Floats:
+    """Some of the maps (names, rows, cols), each of mean 0 and standard deviation 1 where valid."""
     return np.stack([standard(moving.maps[name], is_valid) for name in names])
 
 
@@ -212,10 +227,12 @@ def _shared(
 
     It is due to what light from one side leaves.
 
-    ``shown`` are maps, the last ones ``slopes`` of the face. A shift looks like such light, so the
-    regression leaves some of it undecided; and what the slopes take off is known to a fifth, as no
-    light is quite what they are.
+    ``shown`` are maps (maps, rows, cols), the last ones ``slopes`` of the face. A shift looks like
+    such light, so the regression leaves some of it undecided; and what the slopes take off is known
+    to a fifth, as no light is quite what they are. Where no summit is near, it may be anywhere
+    within the half of what is searched.
     """
+    xy_um = pixel_um[::-1]
     reach = 3  # pixels along either axis
     lags = (reach + MARGIN, reach + MARGIN)
     is_near = within((reach, reach))
@@ -224,10 +241,10 @@ def _shared(
     search_without = LagSearch(shown[:-slopes], image, is_valid, lags)
     without = find_peak(search_without.share, is_near)
     if with_slopes is None or without is None or not with_slopes.inner:
-        return np.diag([(0.5 * reach * p) ** 2 for p in pixel_um[::-1]])
+        return np.diag(np.multiply(0.5 * reach, xy_um) ** 2)
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
+    # In pixels, rows before columns.
     covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
-    xy_um = pixel_um[::-1]
     return covariance[::-1, ::-1] * np.outer(xy_um, xy_um)
 
 
@@ -247,11 +264,14 @@ class _Sampled:
 
     def __init__(self, fixed: Textures, name: str) -> None:
         self._pixel_um = np.array(fixed.pixel_um[::-1])
-        self._spline = np.asarray(ndimage.spline_filter(fixed.maps[name]), dtype=np.float64)
+        spline = ndimage.spline_filter(fixed.maps[name])
+        self._spline = np.asarray(spline, dtype=np.float64)
         self._known = fixed.known.astype(np.float64)
 
     def __call__(self, points: Floats) -> tuple[Floats, Bools]:
         """Values at points (..., 2), ``(x, y)`` in um, and which of them are known."""
-        pixels = np.moveaxis(points / self._pixel_um, -1, 0)[::-1]
-        grey = ndimage.map_coordinates(self._spline, pixels, order=3, prefilter=False)
-        return grey, ndimage.map_coordinates(self._known, pixels, order=1) >= 0.5
+        pixels = np.moveaxis(points / self._pixel_um, -1, 0)
+        row_col = pixels[::-1]
+        grey = ndimage.map_coordinates(self._spline, row_col, order=3, prefilter=False)
+        known_share = ndimage.map_coordinates(self._known, row_col, order=1)
+        return grey, known_share >= 0.5

@@ -43,7 +43,8 @@ class TexturedPlane:
     ) -> TexturedPlane:
         """Take the maps that may show in an image of a side, or an image without its holes.
 
-        InputError for none. The plane's lengths are in units of ``unit_um``.
+        InputError for none. ``holes`` are those of the layer, and hide parts of an image alone: the
+        maps of a sheet are not known there. The plane's lengths are in units of ``unit_um``.
         """
         if isinstance(layer, xr.DataArray):
             grid = Grid.of(layer)
@@ -88,28 +89,32 @@ class TexturedPlane:
     @property
     def corners_um(self) -> Floats:
         """Its corners, (4, 2)."""
-        grid = self.grid
-        return grid_points(grid.x_um[[0, -1]], grid.y_um[[0, -1]]).reshape(4, 2)
+        left_right = self.grid.x_um[[0, -1]]
+        upper_lower = self.grid.y_um[[0, -1]]
+        return grid_points(left_right, upper_lower).reshape(4, 2)
 
     def scaled(self, factor: float) -> TexturedPlane:
         """The layer with lengths that are larger by a factor."""
-        grid = Grid(y_um=factor * self.grid.y_um, x_um=factor * self.grid.x_um)
+        y_um = factor * self.grid.y_um
+        grid = Grid(y_um=y_um, x_um=factor * self.grid.x_um)
         return replace(self, grid=grid)
 
     def part(self, low_um: Floats, high_um: Floats) -> TexturedPlane:
-        """What lies between two places ``(x, y)``."""
-        (left, upper), (right, lower) = low_um, high_um
-        rows = slice(*np.searchsorted(self.grid.y_um, [upper, lower]).tolist())
-        cols = slice(*np.searchsorted(self.grid.x_um, [left, right]).tolist())
+        """What lies between two places ``(x, y)``, the one of less x and y first."""
+        x_um, y_um = np.transpose([low_um, high_um])
+        rows = slice(*np.searchsorted(self.grid.y_um, y_um).tolist())
+        cols = slice(*np.searchsorted(self.grid.x_um, x_um).tolist())
         maps = {name: values[rows, cols] for name, values in self.maps.items()}
         face = {name: heights[rows, cols] for name, heights in self.face.items()}
         valid = None if self.valid is None else self.valid[rows, cols]
-        return TexturedPlane(maps=maps, face=face, valid=valid, grid=self.grid.part(rows, cols))
+        grid = self.grid.part(rows, cols)
+        return TexturedPlane(maps=maps, face=face, valid=valid, grid=grid)
 
     def texture(self, pixel_um: float, *, slopes: bool = False) -> tuple[Textures, Floats]:
         """Textures on pixels of about a size, with the slopes of its face, in halves by wavelength.
 
-        ``(x, y)`` of the middle of the first.
+        And ``(x, y)`` of the middle of the first pixel. Pixels are averaged to as large ones as
+        ``pixel_um`` holds whole.
         """
         row_um, col_um = self.grid.pixel_um
         row_factor = max(int(pixel_um / row_um + 1e-6), 1)
@@ -122,15 +127,18 @@ class TexturedPlane:
             is_valid = np.logical_and.reduce([np.isfinite(heights), *masks])
             shown_maps[name] = without_white_noise(heights, is_valid)
         factors = row_factor, col_factor
-        shown = {k: common_means([m], factors, masks=masks)[0] for k, m in shown_maps.items()}
+        shown: dict[str, Array] = {}
+        for name, values in shown_maps.items():
+            (shown[name],) = common_means([values], factors, masks=masks)
         coarse_um = row_factor * row_um, col_factor * col_um
-        is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
-        first = [0.5 * (coarse_um[1] - col_um), 0.5 * (coarse_um[0] - row_um)]
+        is_finite = np.isfinite([*shown.values()])
+        is_known = np.any(is_finite, axis=0)
+        first_y, first_x = 0.5 * np.subtract(coarse_um, (row_um, col_um))
         layer = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
         for name in faces.keys() & layer.maps.keys():
             # Light spreads in paper: an image shows short waves of slopes less than long ones.
             layer = layer.with_slopes(name).halved(f"{name}_x", f"{name}_y")
-        return layer, np.array(self.grid.origin_um) + first
+        return layer, np.add(self.grid.origin_um, (first_x, first_y))
 
 
 class PlanePair(NamedTuple):

@@ -11,10 +11,11 @@ rotation but those beside the one that is judged.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress, product
+from itertools import chain, compress, product
 from typing import NamedTuple
 
 import numpy as np
@@ -93,9 +94,10 @@ class PlaceSearch:
     def inverse(self) -> PlaceSearch:
         """The same places, from the fixed layer to the moving one."""
         turned: list[Candidate] = []
-        for c in self.candidates:
-            first, second = c.names
-            turned.append(replace(c, names=(second, first), place=c.place.inverse))
+        for candidate in self.candidates:
+            moving_name, fixed_name = candidate.names
+            names = (fixed_name, moving_name)
+            turned.append(replace(candidate, names=names, place=candidate.place.inverse))
         return replace(self, candidates=tuple(turned))
 
     @property
@@ -175,8 +177,8 @@ class _Peak(NamedTuple):
     names: Names
     height: float  # sum of products over the root of the number of pairs
     at: Shape2D  # pixel of the image at which the middle of the map lies
-    near: Near | None
-    squares: float  # sum over all shifts, and how many there are
+    near: Near | None  # about which it was searched; None: everywhere
+    squares: float  # sum of the squared heights of all shifts, and how many there are
     shifts: int
 
 
@@ -184,13 +186,14 @@ class _Peak(NamedTuple):
 class _Steps:
     """Steps of a search in rotation and scale."""
 
-    deg: float
-    scale: float
-    scales: Scales
+    deg: float  # between two rotations
+    scale: float  # between two scales, about
+    scales: Scales  # that are tried
     half: float  # the farthest, over the size, that a rotation and scale lies from any tried
 
     @classmethod
     def of(cls, size_um: float, scale_tolerance: float, wider: float) -> _Steps:
+        """Give steps for a map of a size, so many times as wide as the finest ones."""
         step = wider * _SCALE_STEP / size_um
         count = 2 * max(math.ceil(scale_tolerance / step - 0.5), 0) + 1
         most = scale_tolerance * (count - 1) / count
@@ -210,30 +213,38 @@ class _Steps:
             turn = Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
             scales = self.scales
             if rough is not None and among:
-                rows = [t.matrix()[1] for t in among if t.mirrored == hand]
-                scaled_rows = np.outer(scales, turn.matrix()[1])[:, None]
-                off = np.linalg.norm(np.reshape(rows, (-1, 2)) - scaled_rows, axis=2)
-                scales = tuple(compress(scales, (off <= rough.half).any(axis=1)))
+                # Of one hand, rotation and scale are the length and angle of the second row.
+                _, row = turn.matrix()
+                best_rows = [t.matrix()[1] for t in among if t.mirrored == hand]
+                scaled_rows = np.outer(scales, row)
+                offsets = np.reshape(best_rows, (-1, 2)) - scaled_rows[:, None]
+                is_close = np.linalg.norm(offsets, axis=2) <= rough.half
+                scales = tuple(compress(scales, is_close.any(axis=1)))
             if scales:
                 yield turn, scales
 
     def about(self, turn: Similarity) -> Iterator[Tried]:
         """Rotations between those of the search, with scales between its own."""
-        scales = tuple(turn.scale + self.scale * k / 4.0 for k in range(-2, 3))
-        for k in range(-2, 3):
+        quarters = range(-2, 3)
+        scales = tuple(turn.scale + self.scale * k / 4.0 for k in quarters)
+        for k in quarters:
             rotation_rad = turn.rotation_rad + math.radians(self.deg) * k / 4.0
             yield replace(turn, scale=1.0, rotation_rad=rotation_rad), scales
 
 
 def _by_null(cells: list[list[_Peak]]) -> Callable[[_Peak], float]:
-    """Heights of peaks in standard deviations of their map's null."""
-    null_sd: dict[Names, float] = {}
-    for names in {peak.names for peak in cells[0]}:
-        peaks = [peak for cell in cells for peak in cell if peak.names == names]
-        count = sum(peak.shifts for peak in peaks)
-        square_sum = sum(peak.squares for peak in peaks)
-        null_sd[names] = math.sqrt(square_sum / max(count, 1)) or 1.0
+    """Give the function that takes a peak to its height in standard deviations of its map's null.
 
+    ``cells`` are the peaks of all maps, rotation by rotation; the null is all of their shifts.
+    """
+    square_sums = defaultdict[Names, float](float)
+    counts = defaultdict[Names, int](int)
+    for peak in chain.from_iterable(cells):
+        square_sums[peak.names] += peak.squares
+        counts[peak.names] += peak.shifts
+    null_sd: dict[Names, float] = {}
+    for names, square_sum in square_sums.items():
+        null_sd[names] = math.sqrt(square_sum / max(counts[names], 1)) or 1.0
     return lambda peak: abs(peak.height) / null_sd[peak.names]
 
 
@@ -242,29 +253,33 @@ def _promising(cells: list[list[_Peak]], search: PlaceSearch) -> list[Similarity
 
     None where some of it lies beside the image: it tells nothing of more of the map then.
     """
-    peaks = [peak for cell in cells for peak in cell]
+    peaks = [*chain.from_iterable(cells)]
     shifts = {peak.shifts for peak in peaks}
     if len(shifts) > 1 or 0 in shifts:
         return []
     peaks.sort(key=_by_null(cells), reverse=True)
-    best = peaks[: math.ceil(_KEPT * len(peaks))]
-    return [*(peak.turn for peak in best), *(c.place for c in search.candidates)]
+    kept_count = math.ceil(_KEPT * len(peaks))
+    turns = [peak.turn for peak in peaks[:kept_count]]
+    return turns + [candidate.place for candidate in search.candidates]
 
 
 def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: int) -> PlaceSearch:
-    """The best places of all rotations, and how probable chance makes the first of them."""
+    """The best places of all rotations, and how probable chance makes the first of them.
+
+    ``cells`` are the peaks of all maps, rotation by rotation, in one of so many ``looks``.
+    """
     z = _by_null(cells)
     best_of_cells = [max(cell, key=z) for cell in cells]
-    best_of_cells.sort(key=z, reverse=True)
-    best = best_of_cells[0]
+    best, *others = sorted(best_of_cells, key=z, reverse=True)
     reach_um = scanner.reach_um(best.names)
-    unrelated = [p for p in best_of_cells if scanner.turned_um(p.turn, best.turn) > reach_um]
+    # A rotation beside that of the best is high because of it.
+    unrelated = [p for p in others if scanner.turned_um(p.turn, best.turn) > reach_um]
     probability = 1.0
     if len(unrelated) >= _LEAST_ROTATIONS:
         chance_z = np.array([*map(z, unrelated)])
         probability = _exceeded(z(best), chance_z)
     candidates = [scanner.candidate(_finest(scanner, steps, best), z(best))]
-    lower_peaks = (*best_of_cells[1:], *scanner.rivals(best))
+    lower_peaks = (*others, *scanner.rivals(best))
     for peak in sorted(lower_peaks, key=z, reverse=True):
         other = scanner.candidate(peak, z(peak))
         if not any(scanner.are_one(c, other) for c in candidates):
@@ -279,16 +294,18 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
 def _finest(scanner: _Scanner, steps: _Steps, best: _Peak) -> _Peak:
     """The highest peak of the best one's maps, between the steps too."""
     peaks = [best]
-    for turn, scales in steps.about(best.turn):
-        peaks += [p for p in scanner.peaks(turn, scales, best.near) if p.names == best.names]
-    return max(peaks, key=lambda peak: abs(peak.height))
+    for tried in steps.about(best.turn):
+        peaks += scanner.peaks(*tried, best.near)
+    like = [peak for peak in peaks if peak.names == best.names]
+    return max(like, key=lambda peak: abs(peak.height))
 
 
 def _exceeded(z: float, chance_z: Floats) -> float:
     """Probability that any of so many rotations, and one more, of unrelated textures reaches z.
 
     The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. Few
-    rotations leave A and s uncertain, and the tail more so: both are integrated over.
+    rotations leave A and s uncertain, and the tail more so: both are integrated over. ``chance_z``
+    (n,) are the best ones of the rotations that are wrong.
     """
     # a constant image, or none of it known, is like nothing
     if not np.quantile(chance_z, 0.5) > 0.0:
@@ -303,10 +320,12 @@ def _exceeded(z: float, chance_z: Floats) -> float:
     log_rates = _log_rates(z / s[:, 0]) - log_sums
     rates = np.exp(np.minimum(log_rates, 700.0))
     expected = (chance_z.size + 1) / _INDEPENDENT * rates
-    return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
+    probabilities = -np.expm1(-independent * np.log1p(expected))
+    return float(np.sum(weights * probabilities))
 
 
 def _log_rates(x: Floats) -> Floats:
+    """Logarithm of ``x exp(-x**2 / 2)``, with which the best of a rotation exceeds x."""
     return np.log(np.maximum(x, 1e-9)) - 0.5 * x**2
 
 
@@ -314,9 +333,14 @@ class _Window(NamedTuple):
     """Part of an image, and where the map's middle may lie in it."""
 
     first: Shape2D  # row and column of the first middle
-    size: Shape
+    size: Shape  # rows and columns of middles
     spectra: dict[str, NDArray[np.complex64]]  # of its maps, and of what is known of it
-    shape: Shape
+    shape: Shape  # rows and columns that were transformed: a map's margin more on every side
+
+    def pixel(self, row: int, col: int) -> Shape2D:
+        """Return the pixel of the image that is the middle of this row and column."""
+        first_row, first_col = self.first
+        return first_row + row, first_col + col
 
 
 class _Scanner:
@@ -331,7 +355,11 @@ class _Scanner:
         *,
         is_near: bool,
     ) -> None:
-        """Take ``share`` of the map, from its middle; and spectra of the image unless near."""
+        """Take ``share`` of the map, from its middle; and spectra of the image unless near.
+
+        ``scale_tolerance`` is also the strain of a specimen that is not rigid. Splines, masks and
+        spectra are worked out once, for all rotations.
+        """
         self.middle_um = moving.middle_um
         moving = moving.middle_part(share)
         self._moving = moving
@@ -342,35 +370,43 @@ class _Scanner:
         self._moving_px = np.array(moving.pixel_um[::-1])
         self._fixed_px = np.array(fixed.pixel_um[::-1])
         shape = np.array(moving.known.shape[::-1])
-        self._extent_um, self._middle_px = shape * self._moving_px, 0.5 * (shape - 1)
+        self._extent_um = shape * self._moving_px
+        self._middle_px = 0.5 * (shape - 1)
         self.size_um = math.sqrt(max(moving.area_um2, 1.0))
         self._splines: dict[str, Slab] = {}
         for name, _ in self._names:
             spline = ndimage.spline_filter(moving.maps[name])
             self._splines[name] = np.asarray(spline, dtype=np.float32)
         self._mask = moving.known.astype(np.float32)
-        self._most = moving.n * float(np.prod(self._moving_px / self._fixed_px))
-        most_um = 1.05 * (1.0 + scale_tolerance) * float(np.hypot(*self._extent_um))
+        # Pixels of the image that the known part of the map covers.
+        pixel_areas = float(np.prod(self._moving_px / self._fixed_px))
+        self._most = moving.n * pixel_areas
+        self._diagonal_um = float(np.hypot(*self._extent_um))
+        most_um = 1.05 * (1.0 + scale_tolerance) * self._diagonal_um
+        # Pixels of the image from the middle of the map to its corners, however it is turned.
         self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
         most = max(4 * self._margin, _LEAST_WINDOW)
-        rows, cols = (_spans(n, most) for n in fixed.known.shape)
-        size = rows[1] - rows[0], cols[1] - cols[0]
-        parts = () if is_near else product(rows[:-1], cols[:-1])
+        rows, cols = (_starts(n, most) for n in fixed.known.shape)
+        size = rows.step, cols.step
+        parts = () if is_near else product(rows, cols)
         self._whole = [self._spectra(first, size) for first in parts]
 
     def half_wave_um(self, names: Names) -> float:
         """Half the mean wave of a map; a pattern that repeats is as good a whole one on."""
         values = self._moving.maps[names[0]]
-        slopes = [np.diff(values, axis=k) / p for k, p in enumerate(self._moving.pixel_um)]
-        slope = math.sqrt(sum(float(np.mean(s**2)) for s in slopes))
-        return math.pi * float(np.std(values)) / (slope or math.inf)
+        mean_square = 0.0
+        for axis, step_um in enumerate(self._moving.pixel_um):
+            slopes = np.diff(values, axis=axis) / step_um
+            mean_square += float(np.mean(slopes**2))
+        # Of a wave, the slope over the deviation is 2 pi over its length.
+        return math.pi * float(np.std(values)) / (math.sqrt(mean_square) or math.inf)
 
     def reach_um(self, names: Names) -> float:
         """Farthest that two places lie apart to which parts of one map belong.
 
         The strain moves two parts that lie a diagonal apart by so much.
         """
-        return self.half_wave_um(names) + self.strain * float(np.hypot(*self._extent_um))
+        return self.half_wave_um(names) + self.strain * self._diagonal_um
 
     def are_one(self, a: Candidate, b: Candidate) -> bool:
         """Whether two places can both be right: no part of the map goes with the image at both.
@@ -381,22 +417,27 @@ class _Scanner:
         """
         if self.apart_um(a.place, b.place) > self.reach_um(a.names):
             return False
-        offsets_px = np.moveaxis(np.indices(self._mask.shape)[::-1], 0, -1) - self._middle_px
+        rows, cols = np.indices(self._mask.shape)
+        offsets_px = np.stack([cols, rows], axis=-1) - self._middle_px
         points = self.middle_um + offsets_px * self._moving_px
         half_wave_um = self.half_wave_um(a.names)
-        is_apart = np.linalg.norm(a.place(points) - b.place(points), axis=-1) > half_wave_um
+        moves_um = a.place(points) - b.place(points)
+        moved_um = np.linalg.norm(moves_um, axis=-1)
         side_um = half_wave_um / max(self.strain, 1e-9)
+        # Of either place, how well each tile of the map goes with the image: (tiles).
         parts: list[Floats] = []
         for candidate in (a, b):
             name, image_name = candidate.names
-            at_px = np.moveaxis(candidate.place(points) / self._fixed_px, -1, 0)[::-1]
-            shown = ndimage.map_coordinates(self._fixed.maps[image_name], at_px, order=1)
+            places_px = np.moveaxis(candidate.place(points) / self._fixed_px, -1, 0)
+            image = self._fixed.maps[image_name]
+            shown = ndimage.map_coordinates(image, places_px[::-1], order=1)
             products = self._moving.maps[name] * shown
-            all_and_apart = np.stack([products, is_apart * products])
+            all_and_apart = np.stack([products, (moved_um > half_wave_um) * products])
             parts.append(tile_sums(all_and_apart, self._moving.pixel_um, side_um))
         (a_all, a_apart), (b_all, b_apart) = parts
         shared = abs(float(np.vdot(a_apart, b_apart)))
-        return shared <= _AMBIGUOUS * float(np.linalg.norm(a_all) * np.linalg.norm(b_all))
+        whole = float(np.linalg.norm(a_all) * np.linalg.norm(b_all))
+        return shared <= _AMBIGUOUS * whole
 
     def turned_um(self, a: Similarity, b: Similarity) -> float:
         """Distance between two places about one middle, rms over the map."""
@@ -415,11 +456,11 @@ class _Scanner:
     def peaks(self, turn: Similarity, scales: Scales, near: Near | None) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, height, window, shifts in self._heights(turn, scales, near):
-            highest = np.argmax(np.abs(height))
-            row, col = divmod(int(highest), height.shape[1])
-            pixel = row + window.first[0], col + window.first[1]
+            highest = int(np.argmax(np.abs(height)))
+            peak_height = float(height.flat[highest])
+            pixel = window.pixel(*divmod(highest, height.shape[1]))
             squares = float(np.vdot(height, height))
-            yield _Peak(scaled, names, float(height[row, col]), pixel, near, squares, shifts)
+            yield _Peak(scaled, names, peak_height, pixel, near, squares, shifts)
 
     def rivals(self, best: _Peak) -> Iterator[_Peak]:
         """Summits at the turn of the best one that are nearly as high, also beside its window.
@@ -437,12 +478,13 @@ class _Scanner:
             is_high = height > RIVAL * abs(best.height)
             is_summit = height == ndimage.maximum_filter(height, 3)
             for row, col in np.argwhere(is_high & is_summit).tolist():
-                pixel = row + window.first[0], col + window.first[1]
+                pixel = window.pixel(row, col)
                 yield best._replace(height=float(height[row, col]), at=pixel)
 
     def candidate(self, peak: _Peak, z: float) -> Candidate:
         """The place of a peak that is so high."""
-        return Candidate(names=peak.names, z=z, place=self.place(peak.turn, peak.at))
+        place = self.place(peak.turn, peak.at)
+        return Candidate(names=peak.names, z=z, place=place)
 
     def place(self, turn: Similarity, pixel: Shape2D) -> Similarity:
         """Transformation that puts the middle of the map on a pixel of the image."""
@@ -454,7 +496,9 @@ class _Scanner:
     ) -> Iterator[tuple[Similarity, Names, Slab, _Window, int]]:
         """Heights by the pixel of the map's middle: sums of products over the root of the pairs.
 
-        With the number of pixels at which enough of the map is seen.
+        For each scale, map and window: the turn with this scale, the names of the maps, the heights
+        (rows, cols) of the window, the window, and the number of its pixels at which enough of the
+        map is seen; the height is 0 at all others.
         """
         windows = self._windows(turn, near)
         middle_scale = 0.5 * (scales[0] + scales[-1])
@@ -480,19 +524,28 @@ class _Scanner:
                     yield scaled, names, height, window, int(np.count_nonzero(weight))
 
     def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
-        """Parts of the image in which the middle of the map may lie: all, or one near a place."""
+        """Parts of the image in which the middle of the map may lie: all, or one near a place.
+
+        ``near`` says about where a point of the map lies; its middle lies an arm from there, which
+        turns with the map.
+        """
         if near is None:
             return self._whole
         arm_um = self.middle_um - (near.moving_um or self.middle_um)
         middle_um = near.fixed_um + turn.matrix() @ arm_um
         radius_px = near.radius_um / self._fixed_px
-        first = np.floor(middle_um / self._fixed_px - radius_px).astype(int)
-        col, row = first.tolist()
-        cols, rows = np.ceil(2.0 * radius_px + 1.0).astype(int).tolist()
+        first_px = np.floor(middle_um / self._fixed_px - radius_px)
+        col, row = first_px.astype(int).tolist()
+        size_px = np.ceil(2.0 * radius_px + 1.0)
+        cols, rows = size_px.astype(int).tolist()
         return [self._spectra((row, col), (rows, cols))]
 
     def _spectra(self, first: Shape2D, count: Shape) -> _Window:
-        """Spectra of the part of the image in which so many middles of the map lie."""
+        """Spectra of the part of the image in which so many middles of the map lie.
+
+        ``first`` is the pixel of the first middle, ``count`` are rows and columns of middles. What
+        the map may cover beyond the image is 0, as is what of it is not known.
+        """
         margin = self._margin
         pixels: list[Ints] = []
         for start, n, size in zip(first, count, self._fixed.known.shape, strict=True):
@@ -510,30 +563,37 @@ class _Scanner:
         return _Window(first, count, spectra, shape)
 
     def _on_image(self, turn: Similarity) -> tuple[Shape2D, Callable[..., Slab]]:
-        """Half the size and the sampling of a map on pixels of the image, no larger than needed."""
+        """Half the size and the sampling of a map on pixels of the image, no larger than needed.
+
+        The size is in rows and columns about the middle of the map; the sampling is
+        `ndimage.affine_transform` for a map of the moving layer, or its spline.
+        """
         matrix = turn.matrix()
         corners_um = [*product((-0.5, 0.5), repeat=2)] * self._extent_um
         reach_um = np.abs(corners_um @ matrix.T).max(axis=0)
         half = np.ceil(reach_um / self._fixed_px).astype(int)
         # Of pixels x, y.
-        to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]
+        inverse = np.linalg.inv(matrix)
+        to_moving = (inverse * self._fixed_px) / self._moving_px[:, None]
         offset = self._middle_px - to_moving @ half
-        rows, cols = (2 * half[::-1] + 1).tolist()
+        half_cols, half_rows = half.tolist()
         sampled = partial(
             ndimage.affine_transform,
             matrix=to_moving[::-1, ::-1],
             offset=offset[::-1],
-            output_shape=(rows, cols),
+            output_shape=(2 * half_rows + 1, 2 * half_cols + 1),
             prefilter=False,
             output=np.float32,
         )
-        return (rows // 2, cols // 2), sampled
+        return (half_rows, half_cols), sampled
 
     def _turned_mask(self, sampled: Callable[..., Slab]) -> Slab:
-        return (sampled(self._mask, order=1) >= 0.5).astype(np.float32)
+        """1 where the map is known, on pixels of the image; 0 elsewhere."""
+        known_share = sampled(self._mask, order=1)
+        return (known_share >= 0.5).astype(np.float32)
 
     def _spectrum(self, part: Slab, shape: Shape) -> NDArray[np.complex64]:
-        """Conjugate spectrum.
+        """Conjugate spectrum of a part (rows, cols), padded with 0 to a shape.
 
         The rows that the part does not fill need no transformation along them.
         """
@@ -547,18 +607,22 @@ class _Scanner:
         part: NDArray[np.complex64],
         half: Shape2D,
     ) -> Slab:
-        """Sums of products by the pixel at which the middle of the part lies.
+        """Sums of products by the pixel at which the middle of the part lies, all of a window.
 
-        Only the rows that are needed.
+        ``part`` is the conjugate spectrum of a turned map of half the size ``half``, rows and
+        columns. Only the rows that are needed are transformed back.
         """
-        along = fft.ifft(window.spectra[name] * part, axis=0, overwrite_x=True)
+        products = window.spectra[name] * part
+        along = fft.ifft(products, axis=0, overwrite_x=True)
         row, col = (self._margin - h for h in half)
         rows, cols = window.size
-        lags = fft.irfft(along[row : row + rows], window.shape[1], axis=1)
+        needed_rows = along[row : row + rows]
+        lags = fft.irfft(needed_rows, window.shape[1], axis=1)
         return np.ascontiguousarray(lags[:, col : col + cols], dtype=np.float32)
 
 
-def _spans(count: int, most: int) -> list[int]:
-    """Borders of equal parts, the last of which may reach beyond the end."""
+def _starts(count: int, most: int) -> range:
+    """Starts of equal parts of ``most`` or fewer, the last of which may reach beyond the end."""
     parts = math.ceil(count / most)
-    return [k * math.ceil(count / parts) for k in range(parts + 1)]
+    size = math.ceil(count / parts)
+    return range(0, parts * size, size)

@@ -100,8 +100,10 @@ def find_places(
 ) -> tuple[PlanePair, Found]:
     """Search by the maps of one side or of either, where holes say so first.
 
-    Where none is sure in the unit of paper, search again in that of the pixel; the probability
-    counts both. Stop where the place is sure; Undecided where none is.
+    ``mirrored``: whether the layers see each other mirrored, so that the image shows the bottom of
+    the sheet; None: both are tried. ``holes`` are those of both layers. Where no place is sure in
+    the unit of paper, search again in that of the pixel; the probability counts both. Stop where
+    the place is sure; Undecided where none is.
     """
     tried: list[tuple[PlanePair, Found]] = []
     sides = (False, True) if mirrored is None else (mirrored,)
@@ -125,32 +127,34 @@ def _nears(
 ) -> Iterator[Sequence[Near]]:
     """Say where to look, one after the other.
 
-    The order is about a given place, where a hole lies on a hole, everywhere.
+    The order is about a given place, where a hole lies on a hole, everywhere: that is empty.
     """
     if params.near is not None:
         yield [_given_near(layers, params.near)]
         return
-    if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
-        centres = [map(pair_of, centres_of(h) / layers.unit_um) for h in holes]
+    counts = [side.sizes["mark"] for side in holes or ()]
+    if holes is not None and all(1 <= count <= _FEW_HOLES for count in counts):
+        centres = [map(pair_of, centres_of(side) / layers.unit_um) for side in holes]
         if layers.swapped:
             centres.reverse()
-        yield [
-            Near(fixed_um=b_um, radius_um=_HOLE_UM, moving_um=a_um)
-            for a_um, b_um in product(*centres)
-        ]
+        nears: list[Near] = []
+        for a_um, b_um in product(*centres):
+            nears.append(Near(fixed_um=b_um, radius_um=_HOLE_UM, moving_um=a_um))
+        yield nears
     yield ()
 
 
 def _given_near(layers: PlanePair, near: Sequence[float]) -> Near:
-    """The place that the user gives, with or without a radius."""
-    x, y, *radius = near
+    """The place that the user gives, ``x, y`` in um, with or without a radius."""
     usual_um = layers.unit_um * _NEAR_UM
-    radius_um = radius[0] if radius else usual_um
+    x_um, y_um, radius_um, *_ = *near, usual_um
     if radius_um <= 0:
         raise InputError(
             f"The radius of `near` is {radius_um:g} um. Give one above 0, such as {usual_um:g}."
         )
-    x, y, radius_um = (length_um / layers.unit_um for length_um in (x, y, radius_um))
+    x = x_um / layers.unit_um
+    y = y_um / layers.unit_um
+    radius_um /= layers.unit_um
     if not layers.swapped:
         return Near(fixed_um=(x, y), radius_um=radius_um)
     # The middle of the second layer lies there in the first one.
@@ -169,6 +173,8 @@ def _searched(
     """Search the smaller layer in the larger one.
 
     The second layer is tried at all sizes that the tolerance allows, in one of so many ``looks``.
+    ``mirrored``: whether the layers see each other mirrored; None: both are tried. ``near``: about
+    which places; everywhere where empty.
     """
     half = 0.5 * _SEARCHED_UM
     middle_um = layers.a.middle_um
@@ -176,6 +182,7 @@ def _searched(
     a_texture, a_first = a.texture(_SEARCH_UM)
     best = None
     tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
+    # A search follows the tolerance of a guess; larger ones take guesses beside each other.
     beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
     count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
     guesses = [_SCALE_GUESS**k for k in range(-count, count + 1)]
@@ -192,8 +199,9 @@ def _searched(
         if best is None or probability < best.search.false_probability:
             places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
             between = partial(_between_layers, scaled=guess, swapped=layers.swapped)
+            found_places = tuple(map(between, places_um))
             search = replace(search, false_probability=probability)
-            best = Found(search, places_um[0], guess, tuple(map(between, places_um)))
+            best = Found(search, places_um[0], guess, found_places)
         if best.search.is_sure:
             break
     assert best is not None
@@ -203,30 +211,46 @@ def _searched(
 def _smaller_in_larger(
     a: Textures, b: Textures, mirrored: bool | None, tolerance: float, near: Sequence[Near]
 ) -> PlaceSearch:
-    """Search for the places of the first layer in the second one, or the other way round."""
+    """Search for the places of the first layer in the second one, or the other way round.
+
+    Whichever is searched in which, the places are from the first to the second one.
+    """
+    search = partial(search_place, mirrored=mirrored, scale_tolerance=tolerance)
     if b.area_um2 >= a.area_um2:
-        return search_place(a, b, mirrored=mirrored, scale_tolerance=tolerance, near=near)
-    inverse = [replace(n, fixed_um=n.moving_um or (0, 0), moving_um=n.fixed_um) for n in near]
-    search = search_place(b, a, mirrored=mirrored, scale_tolerance=tolerance, near=inverse)
-    return search.inverse
+        return search(a, b, near=near)
+    inverse: list[Near] = []
+    for place in near:
+        moving_um = place.moving_um or (0, 0)
+        inverse.append(replace(place, fixed_um=moving_um, moving_um=place.fixed_um))
+    return search(b, a, near=inverse).inverse
 
 
 def _seen_from(
     b: TexturedPlane, a: TexturedPlane, near: Sequence[Near], guess: float
 ) -> TexturedPlane:
-    """What of a layer a search about places looks at; all where no place is given."""
+    """What of a layer a search about places looks at; all where no place is given.
+
+    ``b`` is the layer at a ``guess`` of its size, the places are in it as it is stated; ``a`` is
+    the layer that is searched for.
+    """
     if not near:
         return b
-    fixed_um = guess * np.array([n.fixed_um for n in near])
-    arms_um = [a.corners_um - (n.moving_um or a.middle_um) for n in near]
+    fixed_um = guess * np.array([place.fixed_um for place in near])
+    arms_um = [a.corners_um - (place.moving_um or a.middle_um) for place in near]
     longest_um = float(np.linalg.norm(arms_um, axis=-1).max())
     arm_um = (1.0 + _GUESS_TOLERANCE) * longest_um
-    reach_um = guess * max(n.radius_um for n in near) + arm_um + _AROUND_UM
-    return _part_of(b, fixed_um.min(axis=0) - reach_um, fixed_um.max(axis=0) + reach_um)
+    largest_radius_um = max(place.radius_um for place in near)
+    return _part_about(b, fixed_um, guess * largest_radius_um + arm_um)
 
 
-def _part_of(b: TexturedPlane, low_um: Floats, high_um: Floats) -> TexturedPlane:
-    part = b.part(low_um, high_um)
+def _part_about(b: TexturedPlane, places_um: Floats, reach_um: float) -> TexturedPlane:
+    """What of a layer lies about places (n, 2), ``(x, y)``, as far as a reach and what is around.
+
+    CannotRegister where nothing of it does.
+    """
+    margin_um = reach_um + _AROUND_UM
+    low_um = places_um.min(axis=0) - margin_um
+    part = b.part(low_um, places_um.max(axis=0) + margin_um)
     if not all(part.grid.shape):
         raise CannotRegister(
             "The other layer shows no texture at this place: it lies beside it. Give another place."
@@ -274,12 +298,11 @@ def tiles_near(
     covariances of the tiles are in um, in the second layer as it is.
     """
     a = layers.a
-    b = layers.b.scaled(scaled)
-    corners = place(a.corners_um)
-    b = _part_of(b, corners.min(axis=0) - _AROUND_UM, corners.max(axis=0) + _AROUND_UM)
+    b = _part_about(layers.b.scaled(scaled), place(a.corners_um), 0.0)
     has_light = not b.is_sheet
     moving, moving_first = a.texture(_FINE_UM, slopes=has_light)
     fixed, fixed_first = b.texture(_FINE_UM)
+    # The slopes in either half of the wavelengths: their names have one more ending.
     light = tuple(name for name in moving.maps if name.rpartition("_")[0] in a.light)
     place = _moved(place, -moving_first, -fixed_first)
     names = names or clearest_maps(moving, fixed, place)
@@ -303,12 +326,9 @@ def tiles_near(
     moving_um = unit_um * (tiles.moving_um + moving_first)
     fixed_um = unit_um * (tiles.fixed_um + fixed_first) / scaled
     covariance_um2 = unit_um**2 * tiles.covariance_um2 / scaled**2
-    return tiles._replace(
-        moving_um=moving_um,
-        fixed_um=fixed_um,
-        covariance_um2=covariance_um2,
-        shared_um2=unit_um**2 * tiles.shared_um2 / scaled**2,
-    )
+    shared_um2 = unit_um**2 * tiles.shared_um2 / scaled**2
+    tiles = tiles._replace(moving_um=moving_um, fixed_um=fixed_um)
+    return tiles._replace(covariance_um2=covariance_um2, shared_um2=shared_um2)
 
 
 def _bent_tiles(
@@ -333,12 +353,14 @@ def _bent_tiles(
 
 
 def _undecided(best: Found, layers: PlanePair) -> Undecided:
+    """Make the error that names the best places, in um, and what to try."""
     search = best.search
     middle = (layers.b if layers.swapped else layers.a).middle_um
     places: list[FoundPlace] = []
     for candidate, place in zip(search.candidates, best.places, strict=True):
         middle_um = pair_of(layers.unit_um * place(middle))
-        places.append(FoundPlace(in_unit(place, 1.0 / layers.unit_um), middle_um, candidate.z))
+        place_um = in_unit(place, 1.0 / layers.unit_um)
+        places.append(FoundPlace(place_um, middle_um, candidate.z))
     text = (
         "Best places, in standard deviations of chance:"
         f" {'; '.join(place.sentence for place in places[:3])}."
