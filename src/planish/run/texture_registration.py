@@ -151,7 +151,8 @@ def register_by_texture(
     """
     pair = (holes.of(layer, fixed), holes.of(fixed, layer))
     params = study.registration
-    moving, image = _textured(layer), _textured(fixed)
+    moving = _textured(layer)
+    image = _textured(fixed)
     is_mirrored = layer.side != fixed.side
     if params.by == "both":
         by_holes = register_by_marks(layer, fixed, holes, study)

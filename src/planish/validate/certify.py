@@ -221,10 +221,8 @@ def run_specimen(
             refusal = in_terminal_words(error.text).replace(f"{folder}{os.sep}", "")
             return Entry(seed=seed, values={}, refusal=refusal)
         progress("compare", "with the truth")
-        failed, looks = (
-            tuple(f"{check.name}: {check.sentence}" for check in run.results.checks_in(state))
-            for state in ("fail", "look")
-        )
+        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
+        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
         pictures: tuple[Picture, ...] = ()
         if scenario.second is not None:
             values = in_order(pair_errors(specimens, run))

@@ -177,8 +177,8 @@ class Comparison:
         offsets = grid_points(across, down).reshape(-1, 2)
         centre = np.array([float(truth[axis].values.mean()) for axis in "xy"])
         inverse = self.specimen.pose.inverse
-        around, middle = inverse(centre + offsets), inverse(centre[None])
-        return np.asarray(around - middle, dtype=np.float64)
+        middle = inverse(centre[None])
+        return np.asarray(inverse(centre + offsets) - middle, dtype=np.float64)
 
 
 def points_of(coordinates: Mapping[str, Floats | float]) -> Floats:
