@@ -127,11 +127,9 @@ def find_sheet_holes(
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
     own_rows = np.arange(len(centres))
     layer_holes = _by_layer(holes, {side: own_rows, **partner_rows})
-    top_um, bottom_um = (
-        np.stack([layer_holes[f"{axis}_{layer}"].values for axis in "xy"], axis=1)
-        for layer in ("top", "bottom")
-    )
-    offsets_um = bottom_um - top_um
+    offset_x = layer_holes["x_bottom"].values - layer_holes["x_top"].values
+    offset_y = layer_holes["y_bottom"].values - layer_holes["y_top"].values
+    offsets_um = np.stack([offset_x, offset_y], axis=1)
     statistics, to_face_um = _offset_statistics(offsets_um, maps, side)
     out = _shifted(holes[side], to_face_um).merge(layer_holes, combine_attrs="override")
     for name, offset_um, where in zip("xy", offsets_um.T, _DIRECTIONS, strict=True):

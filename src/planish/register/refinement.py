@@ -437,10 +437,10 @@ def _prepare(
 
 def _standardised(values: Floats, mask: Bools) -> Floats:
     """Values of mean 0 and standard deviation 1; 0 outside the mask."""
-    known = values[mask]
-    sd = known.std()
+    masked = values[mask]
+    sd = masked.std()
     if float(sd) == 0:
         raise CannotRegister(
             "One of the maps is constant: nothing can be refined on it. Keep the marks only."
         )
-    return np.where(mask, (values - known.mean()) / sd, 0.0)
+    return np.where(mask, (values - masked.mean()) / sd, 0.0)

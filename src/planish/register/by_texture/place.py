@@ -161,12 +161,12 @@ def tile_places(
     map_name, image_name = names
     b, is_valid = _on_moving_pixels(moving, fixed, image_name, place)
     shown = _standard_maps(moving, (map_name, *other_maps, *light), is_valid)
-    a, *others = shown
+    a, *more_maps = shown
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
     if light:
         shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light))
-    if others:
+    if more_maps:
         columns = shown[:, is_valid].T
         weights, *_ = np.linalg.lstsq(columns, b[is_valid], rcond=None)
         # All maps as the image shows them, with the sign of the map that leads.

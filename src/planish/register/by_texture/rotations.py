@@ -270,16 +270,16 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]], looks: i
     """
     z = _by_null(cells)
     best_of_cells = [max(cell, key=z) for cell in cells]
-    best, *others = sorted(best_of_cells, key=z, reverse=True)
+    best, *lower = sorted(best_of_cells, key=z, reverse=True)
     reach_um = scanner.reach_um(best.names)
     # A rotation beside that of the best is high because of it.
-    unrelated = [p for p in others if scanner.turned_um(p.turn, best.turn) > reach_um]
+    unrelated = [p for p in lower if scanner.turned_um(p.turn, best.turn) > reach_um]
     probability = 1.0
     if len(unrelated) >= _LEAST_ROTATIONS:
         chance_z = np.array([*map(z, unrelated)])
         probability = _exceeded(z(best), chance_z)
     candidates = [scanner.candidate(_finest(scanner, steps, best), z(best))]
-    lower_peaks = (*others, *scanner.rivals(best))
+    lower_peaks = (*lower, *scanner.rivals(best))
     for peak in sorted(lower_peaks, key=z, reverse=True):
         other = scanner.candidate(peak, z(peak))
         if not any(scanner.are_one(c, other) for c in candidates):
