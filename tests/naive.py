@@ -135,8 +135,8 @@ def keys(share):
 
 
 def cubic_between(values, row, col):
-    """Value of an array (rows, cols, ...) between its nodes by cubic convolution, within the range
-    of the four by four around; NaN where one is missing."""
+    """Value of an array (rows, cols, ...) between its nodes by cubic convolution, not below zero
+    where none of the four by four around is; NaN where one is missing."""
     i, j = (min(int(place), n - 2) for place, n in zip((row, col), values.shape, strict=False))
     if min(i, j) < 1 or i > values.shape[0] - 3 or j > values.shape[1] - 3:
         return np.full(values.shape[2:], np.nan)
@@ -144,7 +144,7 @@ def cubic_between(values, row, col):
     if not np.isfinite(around).all():
         return np.full(values.shape[2:], np.nan)
     total = np.tensordot(np.outer(keys(row - i), keys(col - j)), around)
-    return np.clip(total, around.min(axis=(0, 1)), around.max(axis=(0, 1)))
+    return np.where((total < 0) & (around.min(axis=(0, 1)) >= 0), 0.0, total)
 
 
 def cubic_on_quads(uv, field, place, index, point):

@@ -130,13 +130,18 @@ def test_a_wave_of_four_columns_keeps_its_height_and_a_parabola_is_exact():
     )
 
 
-def test_values_between_nodes_stay_within_those_around():
-    """Beside a bare spot a coating is not thinner than nothing."""
+def test_beside_a_bare_spot_a_coating_is_not_thinner_than_nothing_and_sums_stay_sums():
+    rng = np.random.default_rng(3)
     coating = np.zeros((20, 20))
     coating[:, 10:] = 12.0
+    base = 50.0 + rng.normal(size=(20, 20))
     places = find_places(grid(20, 20, 3.0), Grid.regular((50, 50), 0.9, (5.0, 5.0)))
     out = resample(coating, places)
-    assert (out.min(), out.max()) == (0.0, 12.0)
+    assert out.min() == 0.0
+    total = resample(base + 3.0, places)
+    np.testing.assert_allclose(resample(base, places) + 3.0, total, atol=1e-12)
+    halves = resample(0.3 * base - 1.0, places) + resample(0.7 * base + 1.0, places)
+    np.testing.assert_allclose(halves, resample(base, places), atol=1e-12)
 
 
 def test_delaunay_equals_scipy_and_agrees_where_the_field_is_smooth():

@@ -26,6 +26,23 @@ def cubic_weights(share):
 
 
 @njit(cache=True, nogil=True)
+def _in_row(field, row, col, weights):
+    """Value in a row of nodes, between the node at ``col`` and the next."""
+    value = weights[0] * field[row, col - 1] + weights[1] * field[row, col]
+    return value + weights[2] * field[row, col + 1] + weights[3] * field[row, col + 2]
+
+
+@njit(cache=True, nogil=True)
+def _is_below_zero(field, first_row, first_col):
+    """Whether one of four by four nodes is below zero."""
+    for row in range(first_row, first_row + 4):
+        for col in range(first_col, first_col + 4):
+            if field[row, col] < 0.0:
+                return True
+    return False
+
+
+@njit(cache=True, nogil=True)
 def cubic_value(field, row, col, row_share, col_share):
     """Value of a field (rows, cols) between its nodes.
 
@@ -33,25 +50,20 @@ def cubic_value(field, row, col, row_share, col_share):
     ``row_share``, ``col_share`` : the place's share of the way to the next node, 0 to 1
 
     NaN where one of the four by four nodes around the place is missing, infinite or beyond the
-    field's border. The value never leaves the range of these nodes: a coating beside a bare spot
-    does not become thinner than nothing.
+    field's border. Where none of them is below zero the value is not either: a coating beside a
+    bare spot does not become thinner than nothing.
     """
     rows, cols = field.shape
     if row < 1 or col < 1 or row > rows - 3 or col > cols - 3:
         return np.nan
-    row_weights = cubic_weights(row_share)
+    before, at, after, beyond = cubic_weights(row_share)
     col_weights = cubic_weights(col_share)
-    total = 0.0
-    lowest = np.inf
-    highest = -np.inf
-    for k in range(4):
-        in_row = 0.0
-        for m in range(4):
-            node = field[row - 1 + k, col - 1 + m]
-            lowest = min(lowest, node)
-            highest = max(highest, node)
-            in_row += col_weights[m] * node
-        total += row_weights[k] * in_row
-    if not np.isfinite(total):
+    value = before * _in_row(field, row - 1, col, col_weights)
+    value += at * _in_row(field, row, col, col_weights)
+    value += after * _in_row(field, row + 1, col, col_weights)
+    value += beyond * _in_row(field, row + 2, col, col_weights)
+    if not np.isfinite(value):
         return np.nan
-    return min(max(total, lowest), highest)
+    if value < 0.0 and not _is_below_zero(field, row - 1, col - 1):
+        return 0.0
+    return value

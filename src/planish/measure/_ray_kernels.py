@@ -13,7 +13,7 @@ import numpy as np
 from planish.core._cubic_kernels import cubic_value
 from planish.core.jit import njit
 
-_STEPS = 12
+_STEPS = 40
 _CLOSE_UM = 1e-4
 _HALF = 0.5
 
@@ -70,7 +70,10 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
             nc = normal_c[i, j]
             nh = normal_h[i, j]
             # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they
-            # converge in three or four.
+            # converge in three or four. f falls: where it is above 0 the place lies further out.
+            # A step that leaves what is known of the place, beside the steps of labels, goes to
+            # the middle.
+            low, high = -np.inf, np.inf
             s0 = 0.0
             f0 = surface[i, j] - h0
             if not (np.isfinite(f0) and np.isfinite(nh)):
@@ -82,7 +85,11 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
                 f1 = height_at(surface, r, c) - (h0 + s1 * nh)
                 if not np.isfinite(f1):
                     break
-                if abs(f1) < _CLOSE_UM:
+                if f1 > 0.0:
+                    low = s1
+                else:
+                    high = s1
+                if abs(f1) < _CLOSE_UM or high - low < _CLOSE_UM:
                     out[i, j] = s1
                     break
                 slope = (f1 - f0) / (s1 - s0) if abs(s1 - s0) > 1e-9 else -nh
@@ -90,6 +97,8 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
                     slope = -nh
                 s0, f0 = s1, f1
                 s1 = s1 - f1 / slope
+                if not (low < s1 < high):
+                    s1 = 0.5 * (low + high)
     return out
 
 
