@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from folders import bytes_of
+from planish.core.errors import FileError
 from planish.report import Canvas, relation, write_report
 from planish.report.page import standalone
 from report.pages import Page
@@ -59,6 +60,17 @@ def test_every_figure_of_the_page_is_a_file(figures):
         title, caption = root[0].text, root[1].text
         assert title == shown["aria-label"]
         assert caption in page.text("figcaption").replace("\n", " ")
+
+
+def test_a_folder_of_figures_that_is_there_is_refused_before_the_page_is_written(tmp_path):
+    run = a_run()
+    kept = tmp_path / "figures"
+    kept.mkdir()
+    page = tmp_path / "report.html"
+    with pytest.raises(FileError, match="exists already"):
+        write_report(page, **run | {"results": results_of(run)}, figures=kept)
+    assert [*tmp_path.iterdir()] == [kept]
+    assert [*kept.iterdir()] == []
 
 
 def test_numbers_of_the_figures_are_those_of_the_results(figures):

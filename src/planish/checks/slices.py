@@ -93,9 +93,13 @@ _SENTENCES: dict[Kind, tuple[str, ...]] = {
 class Fault:
     """Slices ``first`` to ``last`` are not what they should be.
 
-    ``other`` is the first slice that they repeat, or the slice that the first of them fits to. A
-    jump lies between its two slices; ``steps`` is the number of slices by which the body goes on
-    too far there, NaN where it is not known.
+    ``other``: of copies, the first slice that they repeat; of a slice that was moved, the slice
+    that it is most like, or, where a jump shows it, the one that fits between it and the slice
+    before. None for other kinds. A jump lies between its two slices; ``steps`` is the number of
+    slices by which the body goes on too far there, NaN where it is not known.
+
+    While the faults are searched, numbers count from the first slice of the `_Stack`;
+    `find_faults` turns them into those of the volume.
     """
 
     kind: Kind
@@ -517,6 +521,9 @@ def _jump(t: _Stack, k: int) -> Fault:
 
     One of them fits elsewhere, or slices are missing. It fits where the slice that is most like it
     (but for its own neighbours) differs from it as neighbours do, and has a place free beside it.
+
+    Whichever of the two it is, the fault ``moved`` names slice k + 1; ``other`` is the slice that
+    is most like one of them, and so fits between both. Numbers are those of the stack.
     """
     from_next = t.differences_from(k + 1)
     from_slice = t.differences_from(k)

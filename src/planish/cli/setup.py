@@ -166,7 +166,10 @@ def _places(shell: str) -> tuple[Path, Path | None, str]:
 
 
 def _add_line(profile: Path, line: str) -> str:
-    """Add a line to a file that has it not; say what was done."""
+    """Add a line to a file that has it not; give the words that say what was done.
+
+    ``line`` comes without its end. A file that is not there is made; the rest of the file stays.
+    """
     content = profile.read_bytes() if profile.is_file() else b""
     # As PowerShell 5 writes its files.
     encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"

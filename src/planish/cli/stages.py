@@ -377,12 +377,9 @@ def correlate(linked: Path, names: Texts, as_json: bool, **values: Any) -> int:
 @figures_option
 def report(run: Path, out: Path, figures: bool) -> None:
     """Write the report of a RUN folder anew."""
-    from planish.io.run_folder import refuse_existing
     from planish.report import FIGURES, write_report
     from planish.run import open_run
 
     figures_folder = out.absolute().with_name(FIGURES) if figures else None
-    if figures_folder is not None:
-        refuse_existing(figures_folder)
     write_report(out, open_run(run), figures=figures_folder)
     click.echo(str(out))

@@ -119,6 +119,9 @@ def check_values(array: Any, kind: ArrayKind, dims: Sequence[str]) -> None:
 def check_numbers(array: Any, name: str, *, kinds: str = "uif") -> None:
     """Refuse values that are masked, or of another kind than numbers (or what ``kinds`` says).
 
+    ``kinds``: the letters of NumPy's ``dtype.kind`` that are taken. Only the type is looked at:
+    NaN and infinity pass.
+
     Every array that a function takes comes through here: a mask would be lost in silence.
     """
     if is_masked(array):

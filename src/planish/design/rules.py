@@ -25,7 +25,8 @@ _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
 class Motions(NamedTuple):
     """Wrong arrangements of a pattern.
 
-    ``hit`` (motions, n), ``kind``: half turn, quarter turn, mirror, else shift.
+    ``hit`` (motions, n): column k tells whether hole k, once moved, lands within 1.5 tolerances of
+    a hole. ``kind`` (motions,): half turn, quarter turn, mirror, else shift.
     """
 
     hit: Bools
@@ -40,8 +41,9 @@ class Motions(NamedTuple):
 def self_motions(points_um: Floats) -> Motions:
     """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose.
 
-    A motion is a turn, a shift and a scale within 3 %, with the pattern turned over or not; a pair
-    proposes one to every pair of like length.
+    A motion is a turn, a shift and a scale within 3 %, with the pattern turned over or not; wrong
+    is any but the one that leaves all holes in place. A pair proposes one to every pair of like
+    length; where that would be too many motions, only some of the pairs do, evenly chosen.
     """
     z = points_um[:, 0] + 1j * points_um[:, 1]
     start, end = np.triu_indices(len(z), 1)
@@ -81,8 +83,9 @@ def _motion_hits(
 ) -> tuple[Bools, NDArray[np.str_]]:
     """Holes (motions, n) met by a motion from each base pair to its goal, and its kind.
 
-    ``z`` are the holes as complex numbers x + iy, ``tree`` finds them by place; pairs (motions, 2)
-    are numbers of holes. A shift that leaves a hole where it is does not meet it.
+    Column k is true where hole k, once moved, lands within 1.5 tolerances of a hole. ``z`` are the
+    holes as complex numbers x + iy, ``tree`` finds them by place; pairs (motions, 2) are numbers of
+    holes. A shift that leaves a hole where it is does not meet it.
     """
     source = np.conj(z) if mirrored else z
     is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]

@@ -29,7 +29,7 @@ from planish.core.labelled import labelled, variable_data
 from planish.core.lazy import LazyArray, Where
 from planish.core.typing import Array, DType, Entries
 from planish.io.formats import full_scale
-from planish.io.lazy import read_if_small, supported_type
+from planish.io.lazy import decode_if_small, supported_type
 from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size, size_attrs
 
 Size = float | tuple[float, ...]
@@ -52,16 +52,20 @@ def volume(
     ----------
     array : array, shape (z, y, x)
         Of NumPy, xarray, dask, zarr or h5py. What lies in a file, or is computed part by part,
-        stays so.
+        stays so; a mapped file stays mapped, or is read in parts where it is larger than the memory
+        allows.
     voxel_um : float or (z, y, x)
         Voxel size in um; an xarray object with coordinates in um needs none.
     through, top, override_size, unusual_size
-        As for :func:`planish.read_volume`; a size is overridden that coordinates state.
+        As for :func:`planish.read_volume`: ``through`` is the axis that runs through the sheet,
+        ``top`` the end of that axis at which the sheet's top side lies. A size is overridden that
+        coordinates state.
 
     Returns
     -------
     DataArray, dims (z, y, x)
-        As :func:`planish.read_volume` gives it, with ``through`` and ``top_side``.
+        As :func:`planish.read_volume` gives it, with ``through`` and ``top_side``; ``full_scale``
+        is None for floats.
 
     Raises
     ------
@@ -82,7 +86,7 @@ def volume(
     dtype = supported_type(raster.dtype).newbyteorder("=")
     values: Array | LazyArray
     if isinstance(stored_data, np.ndarray) and stored_data.dtype == dtype:
-        values = read_if_small(stored_data, memory_bytes=None)
+        values = decode_if_small(stored_data, memory_bytes=None)
     elif isinstance(stored_data, np.ndarray) and not isinstance(stored_data, np.memmap):
         values = stored_data.astype(dtype)
     else:

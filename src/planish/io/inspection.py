@@ -278,7 +278,8 @@ def as_text(section: Section) -> list[str]:
 def _section(down: str, across: str, plane: Array, step: Shape2D = (1, 1)) -> Section:
     """A section of at most about `_SIDE` steps, from the 1st to the 99th percentile of its grey.
 
-    ``step``: voxels from one row, and one column, of the plane to the next. NaN becomes 0.
+    ``step``: voxels from one row, and one column, of the plane to the next. Rows and columns are
+    picked, not averaged. NaN becomes 0; infinite values become the darkest or the lightest grey.
     """
     down_step, across_step = step
     rows, cols = plane.shape

@@ -221,11 +221,13 @@ def supported_type(dtype: DType) -> DType:
     return dtype
 
 
-def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
-    """Read an array at once where it is small, and leave it in its file otherwise.
+def decode_if_small(array: Values, *, memory_bytes: int | None) -> Values:
+    """Read a `FileArray` at once where it is small; a large one stays in its file.
 
-    Small is what :func:`is_small` says for ``memory_bytes``, None for three quarters of the memory
-    available. Float16 becomes float32.
+    An array in memory or mapped stays as it is, but a mapped file that is larger than
+    ``memory_bytes`` becomes a `FileArray`, which is read in parts. Small is what :func:`is_small`
+    says for ``memory_bytes``, None for three quarters of the memory available. Float16 becomes
+    float32.
     """
     limit = memory_limit(memory_bytes)
     array = unmapped(array) if array.nbytes > limit else array

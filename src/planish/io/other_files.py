@@ -70,7 +70,10 @@ def check_kind(path: Path, *, takes_text: bool) -> None:
 
 
 def refusal(path: Path) -> FileError:
-    """Give the error for a file that no reader takes: what it is, and the way on."""
+    """Give the error for a file that no reader takes: what it is, and the way on.
+
+    The caller raises it; a file that is missing or empty raises FileError at once.
+    """
     head = head_of(path, HEAD_BYTES)
     kind = _kind_by_bytes(head)
     origin = "first bytes"

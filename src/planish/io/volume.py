@@ -24,7 +24,7 @@ from planish.io.formats import (
     loader,
 )
 from planish.io.guard import head_of
-from planish.io.lazy import read_if_small
+from planish.io.lazy import decode_if_small
 from planish.io.orientation import orientation_attrs, orientation_notes
 from planish.io.sizes import VOXEL, agreed_size, size_attrs
 from planish.io.tiff import damaged, size_words
@@ -185,4 +185,4 @@ def load_volume(
             f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}"
         )
     check_type(loaded.values.dtype, path)
-    return loaded._replace(values=read_if_small(loaded.values, memory_bytes=memory_bytes))
+    return loaded._replace(values=decode_if_small(loaded.values, memory_bytes=memory_bytes))

@@ -36,7 +36,12 @@ def _layer_sums(
 
     The shape is (names, layers, 3, rows). ``layer_edges``: relative depths of the layers' borders,
     from 0 at the bottom interface to 1 at the top one. ``halo_rays``: those of a tile, of which
-    ``tile_rows`` are counted; the last argument, their rows in the sheet, plays no part.
+    ``tile_rows``, rows within ``halo_rays``, are counted; the last argument, their rows in the
+    sheet, plays no part.
+
+    Interfaces and edges are signed distances (um) along each ray from the centre surface. Rays
+    with a status other than 0 are left out, and so is a share that is NaN: its layer is thinner
+    than a step of the ray. A share may lie outside 0 to 1 where ``solid_grey`` is given.
     """
     # Rows are summed by themselves, then added in the same order however they were cut.
     rays = halo_rays.rows(tile_rows)

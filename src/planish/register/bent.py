@@ -297,7 +297,8 @@ def range_of(numbers: Floats) -> Pair:
 def inside(marks: Floats, steps: int = 65) -> Floats:
     """Return the marks, and the points of a grid that lie in their hull: (k, 2) in um.
 
-    The grid has ``steps x steps`` points over the extent of the marks.
+    The grid has ``steps x steps`` points over the extent of the marks. The marks come first, then
+    the grid row by row. Marks on a line, or fewer than three, come back alone; none may be NaN.
     """
     from scipy.spatial import Delaunay, QhullError
 

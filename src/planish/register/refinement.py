@@ -107,7 +107,9 @@ class Refined:
     # cross-fitted or stands beside a searched null.
     metric: Metric
     moved_um: Pair  # rms and largest displacement over the known pixels
-    share: float  # largest ratio of displacement to expected error of the marks
+    # Largest ratio of displacement to expected error of the marks; inf or NaN where that error is 0
+    # or not known.
+    share: float
     area: Pair  # least and largest local change of area (determinant of the derivatives)
     strain: float  # largest local principal strain without its sign
     warnings: Texts  # what to be careful about
@@ -237,6 +239,9 @@ def _assess(
     """Look at displacement and derivatives at points (n, 2) of the fixed map, in um.
 
     Refuse folds and what the marks do not allow, which are warnings where not ``bounded``.
+
+    ``fit.expected_error_um`` takes points of the moving map and gives um of the fixed one. It is
+    NaN where the marks fit exactly by their number, or where the inverse of the fit finds no point.
     """
     jacobians = transform.jacobian(points)
     areas = determinants(jacobians)

@@ -23,6 +23,7 @@ from planish.core.numbers import in_words, with_article
 from planish.core.tables import table_text
 from planish.core.typing import Entries
 from planish.io.light import LIGHT
+from planish.io.run_folder import refuse_existing
 from planish.marks.exchange.model import points_of
 from planish.report import (
     diagnostics,
@@ -83,6 +84,8 @@ def write_report(
 
     Raises
     ------
+    FileError
+        If the page or the folder of the figures is there already; nothing is written then.
     InputError
         If neither a run nor results and groups are given, or the path is none.
 
@@ -93,6 +96,8 @@ def write_report(
     page_path = check_path(
         path, "the path of the page first", "pl.write_report", 'pl.write_report("page.html", run)'
     )
+    if figures is not None:
+        refuse_existing(Path(figures))
     if groups is None or results is None:
         if not all(hasattr(run, slug) for slug in ("groups", "results", "registrations")):
             raise not_taken(run, "a run", 'pl.write_report("page.html", run)', "pl.write_report")

@@ -190,8 +190,8 @@ def _fitted(
     """Fit the transformation to tiles and to holes of the moving and the fixed layer.
 
     The holes are taken by ``pairs`` (n, 2) of their rows; others are marks without a partner.
-    Planes a and b of ``layers`` are the smaller and the larger layer: ``swapped`` where the moving
-    one is b.
+    Planes a and b of ``layers`` are the sheet and the image; of two sheets or two images, the
+    moving and the fixed layer. ``swapped``: the moving layer is b.
     """
     count = len(tiles.moving_um)
     a_holes, b_holes = holes or (None, None)
@@ -233,6 +233,10 @@ def _with_tiles(
 
     The tiles are those that are found at the place by holes. Both places are compared in the
     middle of the moving layer; what is expected of their distance is the error of both.
+
+    ``by_holes.fit.weights`` has one entry for each paired mark, in the order of the marks, 0 for
+    one that is left out. ``side`` is the side of the sheet that the image shows: bottom where the
+    layers see each other mirrored.
     """
     layers = PlanePair.of(moving, fixed, side, holes)
     start = _start(by_holes.fit.transform.similarity, layers)

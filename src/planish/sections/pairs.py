@@ -126,11 +126,15 @@ class Bands(NamedTuple):
     def samples(self, section: int, pose: Floats) -> tuple[Samples, Samples]:
         """Give the smoothed band of a section, and the heights of its columns in um.
 
-        Its grey is 0 off the sheet and 1 in it; (samples across the sheet, samples along it).
-        Heights are those of the sheet's middle from the section's own, one for each column of
-        samples.
+        The band is (samples across the sheet, samples along it); each sample is a mean of ``step``
+        pixels, NaN where the band leaves the section. Its grey is 0 off the sheet and 1 in it; of
+        fine bands the mean along the columns is taken off, so it is about 0 everywhere.
 
-        ``pose``, (row, col) in um and rotation in rad, is taken off.
+        Heights, one for each column of samples, are those of the smooth course of the sheet in the
+        corrected section: from the section's middle row, positive towards larger rows.
+
+        ``pose``, (row, col) in um and rotation in rad, is taken off the grey; it does not change
+        the heights.
         """
         _, rows, cols = self.stack.shape
         down, across = self.step

@@ -228,7 +228,11 @@ def _specimens_text(results: SeriesResults) -> str:
     """Give the text of specimens.csv, one row a specimen, in the columns of ``_OF_A_SPECIMEN``.
 
     Factors stand behind the name, quantities behind the rest; message and run come last. What is
-    not known is empty.
+    not known is empty. A specimen without a run has no cells: its quantities are empty.
+
+    ``spoken`` gives the names of the checks in each state. ``counts_as_sheet`` is the name of the
+    sheet that the specimen is a field of. The trust of a quantity is empty where it has no value
+    and no check withheld one.
     """
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
     for quantity in results.quantities:

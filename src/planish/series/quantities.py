@@ -60,8 +60,9 @@ def quantities_of(
     Of each leading map these are its mean, standard deviation and thin share, and r with the other
     map. ``rows`` are those of all runs; ``runs``: what is kept of each, by specimen.
 
-    Maps lead that are declared (InputError for one in no run), or else stand for most runs; those
-    with a margin follow.
+    The declared headline maps lead; without any, all that are the headline of a run, those of the
+    most runs first. Maps with a margin follow. InputError for a declared map that is in no run;
+    without runs no name is checked.
     """
     thin_um = declared.thin_um
     if thin_um is None:

@@ -55,6 +55,7 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
     tifffile.imwrite(path, values, imagej=True, resolution=size, metadata=metadata)
 
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
+        """Return the points (n, 3): those of the stack are (x, y, z) in um, as in space."""
         return points
 
     return InstrumentFiles(volume=path, through="z", to_physical=to_physical)
@@ -81,6 +82,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     last_um = (rows - 1) * voxel
 
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
+        """Take points (n, 3) of the file, (x, z, slice) in um, to (x, y, z) in space."""
         x, z, slice_um = points.T
         return np.stack([x, last_um - slice_um, z], axis=1)
 
@@ -146,8 +148,11 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     def to_physical(points: Floats, sections: xr.Dataset | None = None) -> Floats:
         """Undo what the run took off each section, then put on what was truly there.
 
-        Shifts and turns between sections are read off by straight lines; turns are small, about the
-        picture's middle. Without ``sections`` nothing was taken off.
+        ``points`` (n, 3): column, row and position in um, as the run gives them; returned are x, y,
+        z in space. Without ``sections`` nothing was taken off, and positions are those of the
+        counter; with them, positions begin at ``first_position_um``. Shifts (um) and turns (rad)
+        between sections are read off by straight lines; turns are small, about the picture's
+        middle.
         """
         x, z, position = points.T
         if sections is not None:

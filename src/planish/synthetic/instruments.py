@@ -164,7 +164,8 @@ class Scanner:
     def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other.
 
-        As many tiles as threads are made at a time.
+        A tile has ``tile_rows`` rows along y, the last one may have fewer. None: as many as give
+        some 8 million voxels, but at least 24. As many tiles as threads are made at a time.
         """
         # Made once, before threads ask for them.
         _ = self.sheet.packed, self._rings_image, self._cupping_factor

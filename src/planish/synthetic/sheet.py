@@ -144,7 +144,9 @@ def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
     """Holes on three sides whose distances identify any few of them.
 
     One line runs along u from the corner at ``low`` (u, v), two along v from 520 um beside it and
-    beside the other corner. What does not fit is left out; ValueError where fewer than 4 do.
+    beside the other corner. A line has a third of ``params.count``, rounded up and 7 at most, so
+    there are 21 at most; those left over are taken off the last line. What does not fit is left
+    out; ValueError where fewer than 4 do.
     """
     per_line = -(-params.count // 3)
     corner = low + _BORDER_UM

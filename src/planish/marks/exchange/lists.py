@@ -220,8 +220,9 @@ class LayerPixels:
     def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
         """Give the place of the first pixel, and length of one unit, along x, y (and z) in um.
 
-        ``axes`` is 2, or 3 for points of a volume; ``name`` and ``side`` are those of the file and
-        of the layer, for messages. SizeError where pixels are meant and their size is not known.
+        The place is that of the pixel's centre, in um whatever the unit, with z 0. ``axes`` is 2,
+        or 3 for points of a volume; ``name`` and ``side`` are those of the file and of the layer,
+        for messages. SizeError where pixels are meant and their size is not known.
         """
         origin = np.zeros(axes)
         origin[:2] = self.origin_um or (0.0, 0.0)
