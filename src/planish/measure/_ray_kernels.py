@@ -13,20 +13,20 @@ import numpy as np
 from planish.core._cubic_kernels import cubic_value
 from planish.core.jit import njit
 
-_STEPS = 40
+_STEPS = 12
 _CLOSE_UM = 1e-4
 _HALF = 0.5
 
 
 @njit(cache=True, nogil=True)
-def height_at(field, r, c):
+def height_at(field, r, c, is_cubic):
     """Height at fractional row and column; NaN beside two missing nodes, or right at one.
 
-    It is that of cubic convolution where all nodes around are known, and bilinear elsewhere. A
-    column in which one face was not found has good neighbours as a rule: the plane through the
-    other three nodes speaks for it, where they hold half of the weight or more. The outermost cells
-    reach one node further than the field, so that a normal at the border, which leans outwards by a
-    fraction of the sheet's thickness, still meets its faces. Beyond that NaN.
+    With ``is_cubic`` it is that of cubic convolution where all nodes around are known; bilinear
+    elsewhere. A column in which one face was not found has good neighbours as a rule: the plane
+    through the other three nodes speaks for it, where they hold half of the weight or more. The
+    outermost cells reach one node further than the field, so that a normal at the border, which
+    leans outwards by a fraction of the sheet's thickness, still meets its faces. Beyond that NaN.
     """
     rows, cols = field.shape
     if not (-1.0 <= r <= rows and -1.0 <= c <= cols):
@@ -34,9 +34,10 @@ def height_at(field, r, c):
     i = min(max(int(r), 0), rows - 2)
     j = min(max(int(c), 0), cols - 2)
     fr, fc = r - i, c - j
-    height = cubic_value(field, i, j, fr, fc)
-    if np.isfinite(height):
-        return height
+    if is_cubic:
+        height = cubic_value(field, i, j, fr, fc)
+        if np.isfinite(height):
+            return height
     p, q = field[i, j], field[i, j + 1]
     s, t = field[i + 1, j], field[i + 1, j + 1]
     if not np.isfinite(p) and (1 - fr) * (1 - fc) <= _HALF:
@@ -53,6 +54,32 @@ def height_at(field, r, c):
 
 
 @njit(cache=True, nogil=True)
+def _meet(surface, node, ray, s0, f0, s1, is_cubic):
+    """Distance along a ray at which it meets a surface, um; NaN where none is found.
+
+    node     : (row, column, height) that the ray starts from
+    ray      : rows, columns and um of height that it passes in each um
+    s0, f0   : a distance, and by how much the surface lies above the ray there
+    s1       : another distance, nearer to where they meet
+    is_cubic : as for :func:`height_at`
+    """
+    for _ in range(_STEPS):
+        f1 = height_at(surface, node[0] + s1 * ray[0], node[1] + s1 * ray[1], is_cubic)
+        f1 -= node[2] + s1 * ray[2]
+        if not np.isfinite(f1):
+            break
+        if abs(f1) < _CLOSE_UM:
+            return s1
+        # The surface is nearly parallel, so secant steps converge in three or four.
+        slope = (f1 - f0) / (s1 - s0) if abs(s1 - s0) > 1e-9 else -ray[2]
+        if not (-4.0 < slope < -0.05):
+            slope = -ray[2]
+        s0, f0 = s1, f1
+        s1 = s1 - f1 / slope
+    return np.nan
+
+
+@njit(cache=True, nogil=True)
 def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c):
     """Signed distance (rows, cols) from a centre surface to another along unit vectors, um.
 
@@ -65,40 +92,16 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
     out = np.full((rows, cols), np.nan)
     for i in range(rows):
         for j in range(cols):
-            h0 = centre[i, j]
-            nr = normal_r[i, j]
-            nc = normal_c[i, j]
             nh = normal_h[i, j]
-            # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they
-            # converge in three or four. f falls: where it is above 0 the place lies further out.
-            # A step that leaves what is known of the place, beside the steps of labels, goes to
-            # the middle.
-            low, high = -np.inf, np.inf
-            s0 = 0.0
-            f0 = surface[i, j] - h0
+            f0 = surface[i, j] - centre[i, j]
             if not (np.isfinite(f0) and np.isfinite(nh)):
                 continue
-            s1 = f0 * nh
-            for _ in range(_STEPS):
-                r = i + s1 * nr / pitch_r
-                c = j + s1 * nc / pitch_c
-                f1 = height_at(surface, r, c) - (h0 + s1 * nh)
-                if not np.isfinite(f1):
-                    break
-                if f1 > 0.0:
-                    low = s1
-                else:
-                    high = s1
-                if abs(f1) < _CLOSE_UM or high - low < _CLOSE_UM:
-                    out[i, j] = s1
-                    break
-                slope = (f1 - f0) / (s1 - s0) if abs(s1 - s0) > 1e-9 else -nh
-                if not (-4.0 < slope < -0.05):
-                    slope = -nh
-                s0, f0 = s1, f1
-                s1 = s1 - f1 / slope
-                if not (low < s1 < high):
-                    s1 = 0.5 * (low + high)
+            node = (float(i), float(j), centre[i, j])
+            ray = (normal_r[i, j] / pitch_r, normal_c[i, j] / pitch_c, nh)
+            s = _meet(surface, node, ray, 0.0, f0, f0 * nh, False)
+            # On the steps of labels the curved surface is not met by all: there it stays at that.
+            closer = _meet(surface, node, ray, 0.0, f0, s, True)
+            out[i, j] = closer if np.isfinite(closer) else s
     return out
 
 
