@@ -58,7 +58,7 @@ SHEETS = {
     "sections": Kind(3.0, 5.0, "179 sections were aligned to their neighbours"),
     "no-holes": Kind(1.0, 2.0, "Found by texture: coating top and image go together at one place"),
     "uncoated": Kind(1.5, 3.0, "no coating is seen on the top side", "thickness"),
-    "resin": Kind(2.0, 3.0, "Each of the 4 marks is predicted by the others"),
+    "resin": Kind(2.0, 3.0, "Each of the 5 marks is predicted by the others"),
 }
 """Of the sheet in resin one hole of five is not seen; places by serial sections err as those do."""
 
