@@ -152,8 +152,11 @@ def cubic_on_quads(uv, field, place, index, point):
     convolution at that place, less the triangle's slope times the way from the point to where the
     convolution of the coordinates leads."""
     corners, values = (a[index[:, 0], index[:, 1]] for a in (uv, field))
-    slope = np.linalg.solve(corners[1:] - corners[0], values[1:] - values[0])
-    return cubic_between(field, *place) - (cubic_between(uv, *place) - point) @ slope
+    past = cubic_between(uv, *place) - point
+    sides = np.linalg.solve((corners[1:] - corners[0]).T, past)
+    if not np.abs(sides).max() <= 1.0:
+        return np.nan
+    return cubic_between(field, *place) - sides @ (values[1:] - values[0])
 
 
 def resample_quads(uv, field, points):

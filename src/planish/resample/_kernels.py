@@ -201,7 +201,7 @@ def find_bends(u, v, triangle, weight, bend, begin, end):
     weight     : (2, rows_out, cols_out), as :func:`locate` sets it
     bend       : (2, rows_out, cols_out), set to what the weights of the triangle's second and third
                  corner would have to be more for that; NaN where one of the four by four nodes
-                 around is missing
+                 around is missing, or where it leads past by more than a side of the triangle
     begin, end : rows of ``bend`` to do
     """
     cols = u.shape[1]
@@ -223,8 +223,12 @@ def find_bends(u, v, triangle, weight, bend, begin, end):
             past_u = _cubic(u, number, wb, wc) - (au + (wb * bu + wc * cu))
             past_v = _cubic(v, number, wb, wc) - (av + (wb * bv + wc * cv))
             area = bu * cv - cu * bv
-            bend[0, y, x] = (past_u * cv - cu * past_v) / area
-            bend[1, y, x] = (bu * past_v - past_u * bv) / area
+            across_b = past_u * cv - cu * past_v
+            across_c = bu * past_v - past_u * bv
+            # Past a triangle that is all but flat, or a whole side: nothing is known of the curve.
+            if area != 0.0 and max(abs(across_b), abs(across_c)) <= abs(area):
+                bend[0, y, x] = across_b / area
+                bend[1, y, x] = across_c / area
 
 
 @njit(cache=True, nogil=True)
