@@ -148,13 +148,15 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
 
     The last row and column of an odd number stand for themselves.
     """
-    out = xr.Dataset(attrs=maps.attrs)
+    variables: dict[str, xr.Variable] = {}
     for name, data in maps.data_vars.items():
         if data.ndim == 2 and data.dtype.kind in "fb":
-            for dim in data.dims:
-                out.coords[dim] = dim, middles(maps[dim].values), maps[dim].attrs
-            out[name] = data.dims, halved_values(summable_of(maps, str(name))), data.attrs
-    return out
+            half = halved_values(summable_of(maps, str(name)))
+            variables[str(name)] = xr.Variable(data.dims, half, data.attrs)
+    dims = {str(dim) for variable in variables.values() for dim in variable.dims}
+    for dim in dims:
+        variables[dim] = xr.Variable(dim, middles(maps[dim].values), maps[dim].attrs)
+    return xr.Dataset(variables, attrs=maps.attrs)
 
 
 def middles(centres: Floats) -> Floats:

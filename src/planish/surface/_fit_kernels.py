@@ -26,7 +26,7 @@ from planish.core.jit import njit
 
 _ROOT2PI = sqrt(2.0 * np.pi)
 _STEPS = 20
-_CLOSE = 1e-3  # voxels: a fiftieth of what noise leaves
+_CLOSE = 5e-3  # voxels: a tenth of what noise leaves; the step after it is far smaller
 # The normal distribution, linear between 256 nodes a standard deviation: within 5e-7, several times
 # faster than erf.
 _PER_SIGMA = 256
@@ -57,15 +57,18 @@ def _bell(x):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _edge(x, w, fringe, ratio):
-    """Return the blurred edge with its fringe, x widths from it, and its slope."""
+def _edge(x, per_voxel, fringe, ratio):
+    """Return the blurred edge with its fringe, x widths from it, and its slope in a voxel.
+
+    ``per_voxel``: widths of the blur in a voxel.
+    """
     value, slope = _step(x)
-    slope /= w
+    slope *= per_voxel
     if fringe is not None:
         y = ratio * x
         part = fringe * _bell(y)
         value += y * part
-        slope += ratio * (1.0 - y * y) * part / w
+        slope += ratio * (1.0 - y * y) * part * per_voxel
     return value, slope
 
 
@@ -116,16 +119,17 @@ def evaluate(
     inside = face + p[1]
     coat = p[2]
     base = p[3]
+    per_voxel = 1.0 / w
     for d in range(lo, hi + 1):
-        outer, bell = _edge((d - face) / w, w, fringe, ratio)
+        outer, bell = _edge((d - face) * per_voxel, per_voxel, fringe, ratio)
         if coated:
-            j3, inner = _edge((d - inside) / w, w, fringe, ratio)
+            j3, inner = _edge((d - inside) * per_voxel, per_voxel, fringe, ratio)
             e = g[d] - (air + (coat - air) * outer + (base + wall - coat) * j3)
             j1 = -(base + wall - coat) * inner
             if wall > 0.0:
-                below, bell_below = _step((d - inside - depth) / w)
+                below, bell_below = _step((d - inside - depth) * per_voxel)
                 e += wall * below
-                j1 += wall * bell_below / w
+                j1 += wall * bell_below * per_voxel
             j0 = -(coat - air) * bell + j1
             j2 = outer - j3
         else:

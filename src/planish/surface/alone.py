@@ -105,15 +105,19 @@ def _patch_sums(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats]:
     for k, from_high in enumerate((True, False)):
         if not priors.sides[from_high].coated:
             continue
-        inward_grey = grey[..., ::-1] if from_high else grey
-        # Sums of the grey from outside down to each voxel, of which runs are differences.
-        summed = np.zeros((*patch.shape, grey.shape[2] + 1))
-        known_grey = np.nan_to_num(inward_grey)
-        np.cumsum(known_grey, axis=2, dtype=np.float64, out=summed[..., 1:])
         outer, thickness = depths[2 * k : 2 * k + 2]
+        inner = outer + thickness
+        if not np.isfinite(inner).any():
+            continue
+        first = max(int(np.nanmin(outer)), 0)  # depth of the first voxel that may be coating
+        inward_grey = grey[..., ::-1] if from_high else grey
+        coating_grey = np.nan_to_num(inward_grey[..., first : int(np.nanmax(inner)) + 2])
+        # Sums of the grey from there down to each voxel, of which runs are differences.
+        summed = np.zeros((*patch.shape, coating_grey.shape[2] + 1))
+        np.cumsum(coating_grey, axis=2, dtype=np.float64, out=summed[..., 1:])
         by_radius: list[Floats] = []
         for radius in RADII:
-            lone = _beyond_ball(outer, outer + thickness, radius * unit_um, columns.pitch)
+            lone = _beyond_ball(outer - first, inner - first, radius * unit_um, columns.pitch)
             fields = _run_sums(summed, *lone)
             block_sums = [np.bincount(block_index, field.ravel()) for field in fields]
             by_radius.append(np.array(block_sums, np.float64))

@@ -147,7 +147,7 @@ _CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
 _UNKNOWN = 255
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LabelColumns(Columns):
     """Columns of labels: codes of air, base, void and coating, or 1 where there is any sheet."""
 
@@ -156,8 +156,7 @@ class LabelColumns(Columns):
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> Array:
         """Codes of the voxels of a tile, or of a part of their depth."""
-        # Slots leave a dataclass without its class cell, so super() needs it.
-        raw = super(LabelColumns, self).voxels(tile, depth)
+        raw = super().voxels(tile, depth)
         codes = np.full(raw.shape, _UNKNOWN, np.uint8)
         for label, code in self.codes.items():
             codes[raw == label] = code

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ Pitch = tuple[float, float, float]  # of rows, of columns, and along a column, i
 _TILE = 192  # columns along an edge of a tile at most; the memory decides below that
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Columns:
     """Columns of a volume, each ``step`` x ``step`` voxels wide."""
 
@@ -47,7 +48,7 @@ class Columns:
         rows, cols, depth = (self.volume.sizes[axis] for axis in self.axes)
         return rows // self.step, cols // self.step, depth
 
-    @property
+    @cached_property
     def pitch(self) -> Pitch:
         """Distance of rows, of columns, and of voxels along a column, in um."""
         rows, cols, depth = (voxel_pitch(self.volume, axis) for axis in self.axes)

@@ -15,7 +15,7 @@ from scipy import ndimage
 from planish.core.grid import filled
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile
-from planish.core.typing import Floats, Shape2D, Singles, TwoFields
+from planish.core.typing import Floats, Ints, Shape2D, Singles, TwoFields
 from planish.surface.alone import patches_of
 from planish.surface.coarse import CORE
 from planish.surface.columns import Columns, Guide, Priors, Side, blended, oriented
@@ -29,6 +29,7 @@ _LEAST = 1000  # columns
 _SEED = 0  # of what is drawn: a sheet has the same errors whenever it is read
 _PLACE = 4.0  # standard deviation of a place with a grey of its own, in columns
 _LEAST_AIR = 6  # voxels of air that show its noise
+_BLURS = 8.0  # beyond the faces that are expected, within which all lies that a fit looks at
 
 
 def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Floats]:
@@ -105,10 +106,25 @@ def _patch_errors(job: tuple[Columns, Guide, Priors, Tile]) -> dict[bool, Floats
         whole_face = filled(face)
         interface = whole_face + filled(thickness)
         layers = _sharpened(whole_face, sd_px), _sharpened(interface, sd_px)
-        remade = _remade(inward, layers, (outer, opposite), priors, from_high, [*sd_px, width])
+        # Far outside and far below nothing is made, as no fit looks there.
+        steepest = float(np.nanmin(part.cos_tilt))
+        margin = (priors.search_px + _BLURS * width) / steepest
+        start = max(int(np.nanmin(outer) - margin), 0)
+        stop = min(int(np.nanmax(opposite) + margin) + 1, inward.shape[2])
+        remade = _remade(
+            inward,
+            layers,
+            (outer, opposite),
+            priors,
+            from_high,
+            [*sd_px, width],
+            np.arange(start, stop),
+        )
         stored = np.ascontiguousarray(remade[..., ::-1] if from_high else remade)
         remade = blended(stored, part, priors.scale, columns.step)
-        fit = fit_side(remade, (outer, opposite, part.cos_tilt), again, columns, from_high)
+        expected = outer - start, opposite - start, part.cos_tilt
+        fit = fit_side(remade, expected, again, columns, from_high)
+        fit[0] += start
         # What is seen through the blur across the columns is a layer that is blurred like it.
         true_face, true_interface = (
             ndimage.gaussian_filter(layer, sd_px, mode="nearest") for layer in layers
@@ -138,22 +154,24 @@ def _remade(
     priors: Priors,
     from_high: bool,
     sd_px: list[float],
+    depth: Ints,
 ) -> Singles:
     """Grey of a coating between two layers, as the scan would show it, above the air.
 
     ``inward`` (rows, cols, depth): the scan's own grey, read from outside, which gives air and
     base. ``layers``: depth of the face and of the interface, ``expected``: of both faces of the
     sheet by the coarse search, (rows, cols) in voxels. ``sd_px``: of the blur along rows and
-    columns, and along the depth.
+    columns, and along the depth. ``depth`` (n,): the depths that are made, one by one; given are
+    (rows, cols, n).
     """
-    depth = np.arange(inward.shape[2])
     # The blur that was found has the voxel in it, and so do the shares of the voxels below.
     depth_sd_px = np.sqrt(max(sd_px[2] ** 2 - 1.0 / 12.0, 0.0))
     blur_px = [*sd_px[:2], depth_sd_px]
     below_layer: list[Singles] = []
     for layer in layers:
-        share = np.clip(depth - layer[..., None] + 0.5, 0.0, 1.0)
-        below_layer.append(ndimage.gaussian_filter(share.astype(np.float32), blur_px))
+        from_layer = depth.astype(np.float32) - layer[..., None].astype(np.float32)
+        share = np.clip(from_layer + np.float32(0.5), 0.0, 1.0)
+        below_layer.append(ndimage.gaussian_filter(share, blur_px))
     below_face, base = below_layer
     # To and fro through the core, of which every depth of the base is made.
     outer = filled(expected[0])[..., None]
@@ -162,14 +180,14 @@ def _remade(
     length = np.maximum((CORE[1] - CORE[0]) * thickness, 3.0)
     from_first = np.abs((depth - first) % (2.0 * length) - length)
     core_index = np.rint(first + from_first).astype(int)
-    core = np.take_along_axis(inward, np.clip(core_index, 0, depth[-1]), axis=2)
+    core = np.take_along_axis(inward, np.clip(core_index, 0, inward.shape[2] - 1), axis=2)
     coating_grey = _coating_grey(priors.sides[from_high], inward.shape[:2])
     remade = coating_grey[..., None] * (below_face - base) + core * base
     air = _air(inward, expected, priors.search_px)
     if air.shape[2] >= _LEAST_AIR:
         air_index = np.arange(air.shape[2])
         to_and_fro = np.concatenate([air_index, air_index[::-1]])
-        noise = air[..., np.resize(to_and_fro, depth.size)]
+        noise = air[..., np.resize(to_and_fro, inward.shape[2])[depth]]
         remade += noise * np.sqrt(np.maximum(1.0 - base**2, 0.0))
     return remade.astype(np.float32, copy=False)
 
