@@ -366,8 +366,8 @@ def resample_dataset(
 ) -> xr.Dataset:
     """Resample every floating variable of ``data`` (rows, cols).
 
-    Properties by cubic convolution, all others (errors, coordinates, tilt) linearly. Each keeps its
-    attributes, but those that hold for single nodes of the mesh only.
+    Properties, and where there is a sheet, by cubic convolution; errors, coordinates and the like
+    linearly. Each keeps its attributes, but those that hold for single nodes of the mesh only.
 
     Parameters
     ----------
@@ -384,7 +384,9 @@ def resample_dataset(
     for name, variable in data.data_vars.items():
         attrs = {k: v for k, v in variable.attrs.items() if k not in _OF_NODES}
         if np.issubdtype(variable.dtype, np.floating):
-            between: Between = "cubic" if variable.attrs.get("role") == "property" else "linear"
+            is_property = variable.attrs.get("role") == "property"
+            is_fine = is_property or str(name).startswith("presence")
+            between: Between = "cubic" if is_fine else "linear"
             resampled = resample(summable(variable, variable.values), places, between=between)
             variables[str(name)] = xr.Variable(dims, resampled, attrs)
     for axis, places_um in coords.items():
