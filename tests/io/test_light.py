@@ -199,6 +199,9 @@ def test_a_white_that_is_no_white_sheet_is_a_look():
     lost = fits.model_copy(update={"shares": dict.fromkeys(STATES, 0.02)})
     sentence = checks_of(image, lost)["white image"].sentence
     assert sentence.count("2 % of the pixels") + sentence.count("2 % have") == 3
+    shares = dict.fromkeys(STATES, 0.0) | {"saturated": 0.02}
+    saturated = checks_of(image, fits.model_copy(update={"shares": shares}))["white image"]
+    assert saturated.advice.startswith("Take the image again")
 
 
 def test_options_that_do_not_go_together_are_refused():

@@ -205,6 +205,8 @@ def test_holes_of_one_layer_also_beside_a_file_of_another_program(put):
     holes = "label,x_um,y_um,diameter_um\nhole 1,1.5,2.5,150\nhole 2,3.5,4.5,\n"
     marks = read_any(put(holes, "holes.csv"))
     assert (layer_names(marks), holes_of(marks, "marks").diameter.values[0]) == (["marks"], 150)
+    unused = "label,x_um,y_um,used\na,1,2,1\nb,3,4,no\nc,5,6,1\n"
+    assert read_any(put(unused, "unused.csv")).label.values.tolist() == ["a", "c"]
     assert same(read_any(put(bigwarp_2d().replace('"', ""), "no quotes.csv")))
     holes = "label,x_um,y_um\n" + "".join(
         f"{n},{x},{y}\n" for n, (x, y) in zip(LABELS, FIXED.tolist(), strict=True)

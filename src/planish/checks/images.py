@@ -1,11 +1,21 @@
 """Checks of an image's grey: what its white image says, and whether grey is linear."""
 
+from collections.abc import Mapping
+
 from planish.checks.files import ImageFile
 from planish.core.checks import Check, CheckRule
 from planish.core.text import and_join
 
 LOST = 0.01  # share of the pixels without a grey, as of an image that is clipped
 TEXTURE = 0.1  # variance of a white's texture over the image's: r would be 5 % weaker
+_LOST_IN_WHITE = {
+    "white_saturated": "of the white image are saturated",
+    "too_dark": "have too little light in the white image",
+}
+_WHITE_ADVICE = (
+    "Take the white image again: a plain white sheet, out of focus or the mean of several places,"
+    " light and exposure as for the image, and nothing at the end of the scale."
+)
 LIGHTEST = 1.2  # no paper reflects more than a white sheet of 85 % by so much
 
 
@@ -18,33 +28,31 @@ def white_image(rule: CheckRule, file: ImageFile) -> Check | None:
     light = file.light
     if light is None:
         return None
-    lost_texts = {
-        "saturated": "of the image are saturated",
-        "white_saturated": "of the white image are saturated",
-        "too_dark": "have too little light in the white image",
-    }
-    texts = [
-        f"{100 * light.shares[state]:.2g} % of the pixels {text}"
-        for state, text in lost_texts.items()
-        if light.shares[state] > LOST
-    ]
+    image_texts = _lost_texts(light.shares, {"saturated": "of the image are saturated"})
+    white_texts = _lost_texts(light.shares, _LOST_IN_WHITE)
     if light.texture > TEXTURE:
-        texts.append(
+        white_texts.append(
             "the white image has a texture of its own,"
             f" {100 * light.texture**0.5:.0f} % of the contrast of the image"
         )
     if light.exposure is not None and light.median > LIGHTEST:
-        texts.append(f"the image is {light.median:.3g} times as light as the white sheet")
+        white_texts.append(f"the image is {light.median:.3g} times as light as the white sheet")
+    texts = image_texts + white_texts
     if not texts:
         return rule.check("pass", f"The white image fits: {light.sentence}.")
-    return rule.check(
-        "look",
-        f"White and dark image: {and_join(texts)}.",
-        advice=(
-            "Take the white image again: a plain white sheet, out of focus or the mean of several"
-            " places, light and exposure as for the image, and nothing at the end of the scale."
-        ),
-    )
+    advice = _WHITE_ADVICE
+    if not white_texts:
+        advice = "Take the image again, at an exposure at which nothing of it is saturated."
+    return rule.check("look", f"White and dark image: {and_join(texts)}.", advice=advice)
+
+
+def _lost_texts(shares: Mapping[str, float], text_of_state: Mapping[str, str]) -> list[str]:
+    """Say how many pixels have no grey, for each state of too many of them."""
+    return [
+        f"{100 * shares[state]:.2g} % of the pixels {text}"
+        for state, text in text_of_state.items()
+        if shares[state] > LOST
+    ]
 
 
 def linear_grey(rule: CheckRule, file: ImageFile) -> Check | None:

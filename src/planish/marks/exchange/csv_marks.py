@@ -148,11 +148,12 @@ def _read_holes(content: Content) -> PointList:
 def table_of_holes(text: str, name: str, *, kind: str = "mark") -> tuple[CsvTable, Floats, Floats]:
     """Read a table of holes: its places (n, 2), and diameters, NaN where there is none, in um.
 
-    ``kind`` is the word for a row in a message.
+    Rows whose ``used`` says no are left out. ``kind`` is the word for a row in a message.
     """
     needed = ("x_um", "y_um")
     diameter = "diameter_um"
     table = parse_table(text, name, needed=needed, optional=(diameter,), error=MarkError)
+    rows_in_use(table)
     points = table.numbers(needed)
     diameters: list[float | None] = []
     for row in table.rows:

@@ -231,7 +231,7 @@ class LayerPixels:
         option = "fixed" if side == "fixed" else "moving"
         if self.pixel_um is None:
             raise SizeError(
-                f"{name} gives positions in pixels, and the pixel size of the {side} layer is not"
+                f"Positions in {name} are in pixels, and the pixel size of the {side} layer is not"
                 f" known. Give it in um to planish marks convert with `{option}_pixel_um`."
             )
         if axes == 3 and len(self.pixel_um) == 2:
