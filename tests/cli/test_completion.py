@@ -76,6 +76,11 @@ def test_a_missing_powershell_is_reported_and_an_older_profile_stays_readable(mo
         "Set-Location C:\\",
         '. "$PSScriptRoot/planish.completion.ps1"',
     ]
+    # A file may begin with a mark of its encoding, and with the line.
+    profile.write_bytes('\ufeff. "$PSScriptRoot/planish.completion.ps1"\r\n'.encode("utf-16-le"))
+    once = profile.read_bytes()
+    setup.install_script("powershell")
+    assert profile.read_bytes() == once
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,9 @@ def test_a_folder_of_figures_that_is_there_is_refused_before_the_page_is_written
         write_report(page, **run | {"results": results_of(run)}, figures=kept)
     assert [*tmp_path.iterdir()] == [kept]
     assert [*kept.iterdir()] == []
+    inner = tmp_path / "new" / "figures"
+    write_report(page, **run | {"results": results_of(run)}, figures=inner)
+    assert any(inner.glob("*.svg"))
 
 
 def test_numbers_of_the_figures_are_those_of_the_results(figures):

@@ -124,6 +124,8 @@ def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
     corner = np.array([8200.0, 6100.0])
     holes = hole_pattern(BurnParams(stage_um=0.0), LOW, corner, 0)
     assert len(holes) == 21
+    more = hole_pattern(BurnParams(stage_um=0.0, count=24), LOW, corner, 0)
+    np.testing.assert_array_equal(more, holes)
     lines = [holes[:7], holes[7:14], holes[14:]]
     pitches = np.concatenate([np.linalg.norm(np.diff(line, axis=0), axis=1) for line in lines])
     assert pitches.min() >= 500 - 1e-6

@@ -174,7 +174,7 @@ def _add_line(profile: Path, line: str) -> str:
     # As PowerShell 5 writes its files.
     encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"
     text = content.decode(encoding, errors="replace")
-    if line in text.splitlines():
+    if line in text.removeprefix("\ufeff").splitlines():
         return "has the line already"
     separator = "" if text.endswith("\n") or not text else "\n"
     with profile.open("ab") as file:

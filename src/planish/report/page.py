@@ -117,7 +117,7 @@ def write_report(
 
 def _write_figures(folder: Path, pictures: Sequence[Picture]) -> None:
     """Write each figure as SVG, and the numbers that it shows as CSV."""
-    folder.mkdir()
+    folder.mkdir(parents=True)
     for figure_number, picture in enumerate(pictures, 1):
         file_stem = f"{figure_number:02d}-{_slug(picture.title) or 'figure'}"
         write_whole(folder / f"{file_stem}.svg", standalone(picture).encode())

@@ -148,7 +148,7 @@ def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
     there are 21 at most; those left over are taken off the last line. What does not fit is left
     out; ValueError where fewer than 4 do.
     """
-    per_line = -(-params.count // 3)
+    per_line = min(-(-params.count // 3), 7)
     corner = low + _BORDER_UM
     end = high - _BORDER_UM
     side_start_v = low[1] + (_BORDER_UM + 520.0)
