@@ -291,7 +291,9 @@ def is_image(place: Place) -> bool:
         return False
     if kind_of(place.path) != "tiff":
         return True
-    with open_series(place.path, advice="Give one volume or one image.") as (_, series):
+    advice = "Give one volume or one image."
+    # Whoever reads the file looks at its data.
+    with open_series(place.path, advice=advice, has_data=False) as (_, series):
         return is_picture(series)
 
 

@@ -52,11 +52,15 @@ NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 
 
 @contextmanager
 def open_series(
-    path: Path, *, error: type[InputError] = FileError, advice: str = PICTURE_ADVICE
+    path: Path,
+    *,
+    error: type[InputError] = FileError,
+    advice: str = PICTURE_ADVICE,
+    has_data: bool = True,
 ) -> Generator[tuple[TiffFile, TiffPageSeries]]:
-    """Open a TIFF file and give its one series of equal pages, with all data in the file.
+    """Open a TIFF file and give its one series of equal pages.
 
-    Thumbnails are left aside.
+    Thumbnails are left aside. With ``has_data`` all of its data are in the file.
     """
     n_pages = _count_pages(path)
     with reading(path):
@@ -73,7 +77,8 @@ def open_series(
             series, fault_text = _as_one(full_series)
             if fault_text:
                 raise error(f"{path.name} holds {fault_text}. {advice}")
-            _check_data(series, path)
+            if has_data:
+                _check_data(series, path)
         yield tif, series
 
 
