@@ -179,7 +179,7 @@ def _value(field, a, b, c, wb, wc):
     return value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _cubic(lattice, number, wb, wc):
     """Value of a field (rows, cols) in a triangle of its quads, by cubic convolution."""
     node = np.int64(number) >> 1
