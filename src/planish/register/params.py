@@ -41,7 +41,7 @@ class RegistrationParams(Params):
         metavar="X,Y[,RADIUS]",
         help=(
             "Rough place of the middle of the moving layer in the fixed one, in um, for the search"
-            " by texture; default of RADIUS: 500."
+            " by texture; RADIUS is how far from it the middle may lie, 500 where not given."
         ),
     )
     design: str | None = option(

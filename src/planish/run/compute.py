@@ -160,7 +160,7 @@ def column_step(
         widest_step = max(int(_WIDEST_UM / pitch), 1)
         needed = bytes_to_map(columns / widest_step**2) + PROGRAM_BYTES
         raise ResourceError(
-            f"The maps of {columns / 1e6:.0f} million columns need {enough_gb(needed)} GB of memory"
+            f"The maps of {columns:_} columns need {enough_gb(needed)} GB of memory"
             f" even with columns of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed."
             " Give more with `memory`, or crop the volume."
         )
