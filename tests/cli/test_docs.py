@@ -34,6 +34,7 @@ MESSAGES = re.compile(r"^```\{messages\}.*?^```$", re.MULTILINE | re.DOTALL)
 OTHER |= {"--of", "--size", "--texture"}  # of examples/studies/make.py and of a benchmark
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 OTHER |= {"--no-index", "--find-links"}  # of pip
+OTHER |= {"--force", "--reinstall"}  # of pipx and uv
 
 
 def test_the_pages_have_the_help_schema_and_terms_of_the_program():
