@@ -183,9 +183,13 @@ def stored_run(linked_run, tmp_path):
 
 
 # --- what is worked out ---------------------------------------------------------------------------
-def test_a_table_of_points_correlates_as_the_run_does(linked_run, tmp_path):
+@pytest.mark.parametrize(
+    "names", [(), ("image", "coating_top", "tilt", "u", "volume_x", "volume_z")]
+)
+def test_a_table_of_points_correlates_as_the_run_does(linked_run, tmp_path, names):
+    """Also where the map of valid pixels is not among those that are written."""
     path = tmp_path / "points.csv"
-    pl.export(linked_run, path, to="csv")
+    pl.export(linked_run, path, to="csv", maps=names)
     rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()[1:]))
     a, b = (np.array([float(row[name]) for row in rows]) for name in ("coating_top_um", "image"))
     results = json.loads((linked_run / "results.json").read_text(encoding="utf-8"))

@@ -55,7 +55,7 @@ def maps(shape=(600, 1100), dims=("y", "x")):
         },
         coords={dim: (dim, values, {"units": "um"}) for dim, values in zip(dims, at, strict=True)},
     )
-    return Maps(data=data, group="linked")
+    return Maps(data=data, group="linked", valid=data["valid"])
 
 
 def written(content, path, to, **options):

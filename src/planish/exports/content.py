@@ -64,6 +64,8 @@ class Maps:
     #: By name, where they are there: folders in a zarr store of a map's array and its overviews,
     #: the finest first.
     levels: Mapping[str, Sequence[Path]] = field(default_factory=dict[str, Sequence[Path]])
+    #: Pixels that count in means, whether or not they are written as a map; None: all.
+    valid: xr.DataArray | None = None
 
     @property
     def names(self) -> list[str]:

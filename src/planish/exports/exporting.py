@@ -159,7 +159,8 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
         _check_image(request)
     levels = {name: run_contents.map_levels(request.store, group, name) for name in names}
     map_data = run_contents.maps_of(run, group, names)
-    maps = Maps(data=map_data, group=group, levels=levels)
+    valid = run.groups[group].get("valid")
+    maps = Maps(data=map_data, group=group, levels=levels, valid=valid)
     rows, cols = maps.shape
     remedy_text = "Write them as tiff, txt or netcdf, which have no limit."
     _check_size(request, rows * cols, f"{rows} x {cols}", remedy_text)

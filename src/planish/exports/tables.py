@@ -49,9 +49,9 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
     """Write a row for each point, or for each pixel where ``point_um`` is 0.
 
     A point is the mean over its valid pixels, weighted by area; it stands in the table where half
-    of it is valid, as in the correlations. Without a map ``valid`` every pixel that has a value
-    counts. Pixels stand there where any map has a value, with ``valid`` as it is. StudyError where
-    a point is smaller than a pixel.
+    of it is valid, as in the correlations, whichever maps are written. In a group without a map
+    ``valid`` every pixel that has a value counts. Pixels stand there where any map has a value,
+    with ``valid`` as it is. StudyError where a point is smaller than a pixel.
     """
     point_um = params.point_um or 0.0
     if point_um and point_um < max(maps.pixel_um) * (1 - 1e-9):
@@ -113,8 +113,8 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
             band = band_of(maps.data[name], rows).astype(np.float64)
             map_bands[name] = summable(maps.data[name], band)
         has_value = {name: np.isfinite(band) for name, band in map_bands.items()}
-        if "valid" in maps.data:
-            valid = band_of(maps.data["valid"], rows).astype(bool)
+        if maps.valid is not None:
+            valid = band_of(maps.valid, rows).astype(bool)
         else:
             valid = np.any([*has_value.values()], axis=0)
         every_pixel = np.ones_like(valid)
