@@ -16,6 +16,8 @@ release = version = planish.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "from_code"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "_ext"]
+# Quotes and dots only: two hyphens in the text are those of an option, not a dash.
+smartquotes_action = "qe"
 # Docstrings name a class by its short name, which several packages may have: that is no broken
 # link.
 suppress_warnings = ["ref.python"]
