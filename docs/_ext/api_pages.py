@@ -17,11 +17,17 @@ from fields import description_of
 from public_names import about_constant, objects, packages, sources
 from pydantic import BaseModel
 
+_WHOLE = "The whole program: read, map, link, correlate, report, export."
+
 
 def packages_table() -> str:
-    """Return a table of the packages, each with its first sentence, and the tree of their pages."""
-    rows = [f"| [`{name}`]({name}.md) | {_about(name)} |" for name in packages()]
-    table = "| Package | What it holds |\n|---|---|\n" + "\n".join(rows)
+    """Return a table of the packages, each with its functions, and the tree of their pages."""
+    rows = [
+        f"| [`{name}`]({name}.md) | {_WHOLE if name == 'planish' else _about(name)} |"
+        f" {_functions(name)} |"
+        for name in packages()
+    ]
+    table = "| Package | What it holds | Functions |\n|---|---|---|\n" + "\n".join(rows)
     tree = "\n".join(packages())
     return f"{table}\n\n```{{toctree}}\n:hidden:\n\n{tree}\n```"
 
@@ -140,6 +146,16 @@ def _entry(package: str, name: str, found: Any) -> str:
     if inspect.isclass(found) and issubclass(found, BaseModel):
         text += "\n\n" + fields_table(found)
     return text
+
+
+def _functions(package: str) -> str:
+    """Links to the functions that a package shows itself, or all of ``planish``."""
+    shown = {} if package == "planish" else _shown_elsewhere(package)
+    return ", ".join(
+        f"{{py:obj}}`{name} <{package}.{name}>`"
+        for name, found in objects(package)
+        if id(found) not in shown and not (is_constant(found) or inspect.isclass(found))
+    )
 
 
 def _about(package: str) -> str:
