@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 from collections.abc import Iterator
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -18,6 +19,7 @@ from planish.results import Results
 from planish.run.study import GivenLayer, Study
 
 _WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false"}
+_PYTHON_NULL = re.compile(r"\b(None|null)\b")  # not in `null_95`
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 
 
@@ -105,10 +107,8 @@ def results_table(model: type[BaseModel]) -> str:
     """Return key, type and meaning of every value of a part of the results."""
     rows = ["| Key | Type | Meaning |", "|---|---|---|"]
     for name, field in model.model_fields.items():
-        rows.append(
-            f"| `{name}` | {type_words(field.annotation, linked=True)} |"
-            f" {_cell(description_of(model, name))} |"
-        )
+        meaning = _PYTHON_NULL.sub("`null`", _cell(description_of(model, name)))
+        rows.append(f"| `{name}` | {type_words(field.annotation, linked=True)} | {meaning} |")
     return "\n".join(rows)
 
 

@@ -17,6 +17,7 @@ of packages to its page. Pages get the entries of the index that `docs/words.md`
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
@@ -83,13 +84,20 @@ def _root(name: str, _content: str) -> str:
 
 
 def properties_table() -> str:
-    """Return name, unit and meaning of every map that a sheet may have."""
-    rows = ["| Name | Unit | Meaning |", "|---|---|---|"]
+    """Return name, unit, title and meaning of every map that a sheet may have."""
+    rows = ["| Name | Unit | Title | Meaning |", "|---|---|---|---|"]
     rows += [
-        f"| `{name}` | {known.units} | {known.long_name} |"
+        f"| `{name}` | {known.units} | {known.long_name} | {meaning(known.function)} |"
         for name, known in sorted(registered().items())
     ]
     return "\n".join(rows)
+
+
+def meaning(function: Callable[..., object]) -> str:
+    """Return the first sentence of a property's function, without the number of its rule."""
+    first, *_ = (inspect.getdoc(function) or "").split("\n\n")
+    text = re.sub(r"^[PA]-\d+: ", "", " ".join(first.split())).replace("``", "`")
+    return text[:1].upper() + text[1:]
 
 
 def other_kinds_table() -> str:

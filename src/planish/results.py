@@ -373,7 +373,7 @@ class Results(DescribedModel):
     format: Literal[4] = FORMAT
     """Version of this schema."""
     stored_format: SkipJsonSchema[int] = Field(default=FORMAT, exclude=True)
-    """Format of the file that was read; in no file."""
+    """Format of the file that was read; only in Python."""
     planish: str
     """Version of the program."""
     code: str = ""

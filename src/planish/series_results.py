@@ -229,7 +229,7 @@ class SeriesResults(DescribedModel):
     format: Literal[2] = FORMAT
     """Version of this schema."""
     stored_format: SkipJsonSchema[int] = Field(default=FORMAT, exclude=True)
-    """Format of the file that was read; in no file."""
+    """Format of the file that was read; only in Python."""
     planish: str
     """Version of the program."""
     declared: dict[str, object]

@@ -178,7 +178,7 @@ class Explained(ModelFacts):
     """Why a number is missing."""
     #: Dataset (cell_y, cell_x): means over cells, residual, and each predictor freed of the others.
     cells: Annotated[SkipJsonSchema[Any], Field(exclude=True)] = None
-    """Cells of the fit, for figures; in no file."""
+    """Cells of the fit, for figures; only in Python."""
 
 
 def strongest(coefficients: Mapping[str, CoefficientFacts]) -> list[str]:

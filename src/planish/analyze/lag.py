@@ -61,7 +61,7 @@ class LagTile(DescribedModel):
 
 
 class LagNumbers(DescribedModel):
-    """What two maps say of their registration by their own texture; a check, and no gate."""
+    """What two maps say of their registration by their own texture, for a check."""
 
     property: str
     """The map that was compared with the image."""

@@ -70,7 +70,7 @@ class RefinementR(DescribedModel):
     gain_interval: Interval = NULL
     """95 % interval of r - r_of_marks."""
     registration: str
-    """What r rests on: cross-fitted, or beside a searched null."""
+    """What r rests on: cross-fitted, or beside a search of unrelated maps."""
     sentence: str
     """The same in words."""
     n: int | None = None

@@ -210,19 +210,28 @@ def difference(sheet: Sheet, name: str) -> Measured:
     has_true_zero=False,
 )
 def coating_difference(sheet: Sheet) -> Measured:
-    """P-14: t_T - t_B on the same ray; SE: the root of the summed squares of both."""
+    """P-14: coating of the top less that of the bottom on the same ray.
+
+    t_T - t_B; SE: the root of the summed squares of both.
+    """
     return difference(sheet, "coating")
 
 
 @sheet_property("base_thickness", units="um", long_name=PROPERTIES["base_thickness"])
 def base_thickness(sheet: Sheet) -> Measured:
-    """P-04: s_TI - s_BI; SE: the root of the summed squares of both interfaces'."""
+    """P-04: from interface to interface along the ray, s_TI - s_BI.
+
+    SE: the root of the summed squares of both interfaces'.
+    """
     return _between_faces(sheet, "base_thickness")
 
 
 @sheet_property("thickness", units="um", long_name=PROPERTIES["thickness"])
 def thickness(sheet: Sheet) -> Measured:
-    """P-05: s_T - s_B; SE: the root of the summed squares of both faces'."""
+    """P-05: from face to face along the ray, s_T - s_B.
+
+    SE: the root of the summed squares of both faces'.
+    """
     return _between_faces(sheet, "thickness")
 
 
@@ -233,9 +242,9 @@ def thickness(sheet: Sheet) -> Measured:
     support_um=lambda params: 2 * params.envelope_radius_um,
 )
 def thickness_envelope(sheet: Sheet) -> Measured:
-    """P-05 with envelopes of the faces.
+    """P-05: between balls of ``envelope_radius_um`` that roll over both faces.
 
-    A ball of ``envelope_radius_um`` rolls over either face and bridges what it cannot enter.
+    They bridge what they cannot enter.
 
     The ball is taken as the paraboloid x^2 / (2 R), which it is to H / (2 R) of its height at a
     depth H; the places of the faces on the rays are the height field. No standard error: an
@@ -290,11 +299,12 @@ def _layer(rays: Rays, side: Side) -> ThreeFields:
     check=_has_coating,
 )
 def coating_sum(rays: Rays, side: Side) -> Measured:
-    """P-01 by labels (A-16): summed length of coating in the outermost connected layer.
+    """P-01: summed length of coating in the outermost connected layer.
 
-    Coating is what lies beyond half way between base and coating. The layer begins at the fitted
-    face, whose blurred flank counts, and ends at the first gap longer than ``gap_um``. The half-way
-    rule makes a layer thinner than two blurs too thin or loses it; ``coating_top`` does not. SE:
+    By labels (A-16): coating is what lies beyond half way between base and coating. The layer
+    begins at the fitted face, whose blurred flank counts, and ends at the first gap longer than
+    ``gap_um``. The half-way rule makes a layer thinner than two blurs too thin or loses it;
+    ``coating_top`` does not. SE:
     sqrt(SE_face^2 + n (sqrt(2 pi) w sigma / C)^2), n ends of the layer inside, w blur, sigma noise,
     C contrast between coating and base.
     """
@@ -309,9 +319,9 @@ def coating_sum(rays: Rays, side: Side) -> Measured:
     check=_has_coating,
 )
 def coating_envelope(rays: Rays, side: Side) -> Measured:
-    """t_env of A-16: from the face to the inner end of the same layer, gaps included.
+    """P-01: from the face to the inner end of the outermost connected layer, gaps included.
 
-    SE as :func:`coating_sum`.
+    t_env of A-16. SE as :func:`coating_sum`.
     """
     _, envelope, se = _layer(rays, side)
     return Measured(values=envelope, se=se)
@@ -348,7 +358,10 @@ class RoughnessOptions(Params):
     "half_thickness_{side}", units="um", long_name="Face above the centre surface, {side} side"
 )
 def half_thickness(sheet: Sheet, side: Side) -> Measured:
-    """From the centre surface outwards to the face; SE: that of the fitted face."""
+    """From the centre surface outwards to the face.
+
+    SE: that of the fitted face.
+    """
     return _between_faces(sheet, f"half_thickness_{side}")
 
 
@@ -359,9 +372,10 @@ def half_thickness(sheet: Sheet, side: Side) -> Measured:
     has_true_zero=False,
 )
 def topography(sheet: Sheet, side: Side) -> Measured:
-    """P-06: outward height of the face above its own form (planish.measure.form).
+    """P-06: outward height of the face above its own form.
 
-    SE: that of the fitted face; the form, a mean of thousands of columns, adds nothing to it.
+    The form is that of :mod:`planish.measure.form`. SE: that of the fitted face; the form, a mean
+    of thousands of columns, adds nothing to it.
     """
     return _above_form(sheet, f"topography_{side}", _nesting_um(sheet))
 
@@ -373,7 +387,7 @@ def topography(sheet: Sheet, side: Side) -> Measured:
     has_true_zero=False,
 )
 def base_surface(sheet: Sheet, side: Side) -> Measured:
-    """The same of the interface between coating and base.
+    """P-06: outward height of the interface between coating and base above its own form.
 
     SE: that of the fitted interface. Nothing on a side without a coating, whose base shows in
     ``topography_{side}``.
@@ -407,10 +421,10 @@ def _above_form(sheet: Sheet, name: str, nesting_um: float) -> Measured:
     has_true_zero=False,
 )
 def roughness(sheet: Sheet, side: Side) -> Measured:
-    """P-06: the face between S-filter and L-filter; see :func:`scale_limited`.
+    """P-06: the face without the waves below ``s_filter_um`` and above ``l_filter_um``.
 
-    SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where
-    it is below 1.
+    See :func:`scale_limited`. SE: the face's, times what the S-filter leaves of white noise, pitch
+    / (2 sqrt(pi) sigma) where it is below 1.
     """
     pitch_um = sheet.frame.pitch_um
     options = sheet.params.of(RoughnessOptions)
@@ -574,11 +588,10 @@ def tilt(sheet: Sheet) -> Floats:
     has_true_zero=False,
 )
 def mean_curvature(sheet: Sheet) -> Floats:
-    """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)).
+    """Mean of both principal curvatures, positive where the sheet is a bowl.
 
-    Positive where the sheet is a bowl.
-
-    p, q are the slopes, r, s, t the second derivatives of the centre surface's height.
+    H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)), where p, q are the
+    slopes, r, s, t the second derivatives of the centre surface's height.
     """
     p, q, r, s, t = _derivatives(sheet)
     numerator = (1 + p * p) * t - 2 * p * q * s + (1 + q * q) * r
@@ -593,7 +606,10 @@ def mean_curvature(sheet: Sheet) -> Floats:
     has_true_zero=False,
 )
 def gaussian_curvature(sheet: Sheet) -> Floats:
-    """K = (r t - s^2) / (1 + p^2 + q^2)^2; 0 where the sheet can be laid flat without strain."""
+    """Product of both principal curvatures, 0 where the sheet can be laid flat without strain.
+
+    K = (r t - s^2) / (1 + p^2 + q^2)^2.
+    """
     p, q, r, s, t = _derivatives(sheet)
     return _PER_MM**2 * (r * t - s * s) / (1 + p * p + q * q) ** 2
 

@@ -200,10 +200,10 @@ def _layer(params: Options, _greys: Greys, side: Side) -> Texts:
     when=_weight_given,
 )
 def coat_weight(sheet: Sheet, side: Side) -> Measured:
-    """P-02: the coat weight w from what was weighed or from the density (A-23).
+    """P-02: mass of the coating over its area, from the weighed mean or from the density.
 
-    It is w = w_mean t / t_mean where the coat weight was weighed, and rho t where the density is
-    known.
+    A-23: it is w = w_mean t / t_mean where the coat weight was weighed, and rho t where the density
+    is known.
 
     SE: the layer's, times the same factor.
     """
@@ -241,7 +241,7 @@ ray_property("absorption", units="um", long_name="Absorption of the sheet", chec
 
 @ray_property("absorption_base", units="um", long_name="Absorption of the base", check=_absorbs)
 def absorption_base(rays: Rays) -> Measured:
-    """Absorption without what the coatings add to or take from the base's level.
+    """Length of base that absorbs as much as the ray without its coatings.
 
     What the coated sides absorb is taken off as (coating's excess + base's level) over each layer;
     what remains is the base. SE: sqrt(noise L) / (base - air) and those of the layers, as

@@ -188,7 +188,7 @@ def _weighable(params: Common, greys: Greys) -> None:
     after=("filler", "base_thickness"),
 )
 def filler_weight(sheet: Sheet) -> Measured:
-    """P-11 as a mass: share of filler times base thickness times the filler's density.
+    """P-11: share of filler times base thickness times the filler's density.
 
     SE: the share's, likewise.
     """

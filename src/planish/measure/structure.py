@@ -207,11 +207,9 @@ def fibre_angle(rays: Rays, **depth: float) -> Floats:
 
 @_fibre_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy")
 def fibre_anisotropy(rays: Rays, **depth: float) -> Floats:
-    """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues.
+    """P-13: 0 where no direction of the fibres prevails, 1 where all are one.
 
-    It is 0 where no direction prevails, 1 where all are one.
-
-    Noise adds to both eigenvalues and makes it smaller.
+    (l1 - l2) / (l1 + l2) of the tensor's eigenvalues. Noise adds to both and makes it smaller.
     """
     return np.hypot(*_components(rays, **depth))
 
