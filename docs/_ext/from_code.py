@@ -34,6 +34,7 @@ from planish.exports import formats_table
 from planish.io.other_files import OTHER_KINDS
 from planish.marks.exchange import formats as files_of_marks
 from planish.measure import registered
+from planish.measure.registry import PROPERTIES
 
 _BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\(((?:\.\./)*)([\w./-]+?)(#[\w-]+)?\)")
@@ -85,9 +86,11 @@ def _root(name: str, _content: str) -> str:
 
 def properties_table() -> str:
     """Return name, unit, title and meaning of every map that a sheet may have."""
+    always = {*PROPERTIES, "warp", "tilt"}
     rows = ["| Name | Unit | Title | Meaning |", "|---|---|---|---|"]
     rows += [
-        f"| `{name}` | {known.units} | {known.long_name} | {meaning(known.function)} |"
+        f"| `{name}` | {known.units} | {known.long_name} |"
+        f" {meaning(known.function)}{' In every run.' if name in always else ''} |"
         for name, known in sorted(registered().items())
     ]
     return "\n".join(rows)
