@@ -18,7 +18,7 @@ from planish.measure import (
     scale_limited,
     two_sidedness,
 )
-from planish.measure.lengths import smoothed
+from planish.measure.lengths import smoothed, without_short
 
 
 def slow_envelope(height, pitch, radius):
@@ -57,6 +57,8 @@ def test_filters_pass_their_cut_off_by_half():
     low = smoothed(wave, (pitch, pitch), cutoff * 0.4697 / np.sqrt(2 * np.pi))
     inner = (slice(66, -66), slice(100, -100))
     assert np.ptp(low[inner]) / np.ptp(wave[inner]) == pytest.approx(0.5, abs=0.01)
+    fine = without_short(wave, (pitch, pitch), cutoff)
+    assert np.ptp(fine[inner]) / np.ptp(wave[inner]) == pytest.approx(0.5, abs=0.01)
     limited = scale_limited(wave, (pitch, pitch), s_filter_um=20.0, l_filter_um=cutoff)
     assert np.isfinite(limited).all()
     # half of the wave passes the L-filter; the S-filter of a tenth takes 0.7 % off
