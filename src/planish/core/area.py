@@ -153,7 +153,8 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
         if data.ndim == 2 and data.dtype.kind in "fb":
             half = halved_values(summable_of(maps, str(name)))
             variables[str(name)] = xr.Variable(data.dims, half, data.attrs)
-    dims = {str(dim) for variable in variables.values() for dim in variable.dims}
+    # In their order: a set has another one in each process.
+    dims = dict.fromkeys(str(dim) for variable in variables.values() for dim in variable.dims)
     for dim in dims:
         variables[dim] = xr.Variable(dim, middles(maps[dim].values), maps[dim].attrs)
     return xr.Dataset(variables, attrs=maps.attrs)

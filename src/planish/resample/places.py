@@ -323,7 +323,7 @@ def resample(field: Array, places: Places, *, between: Between = "cubic") -> Flo
     places : Places
         From :func:`find_places`, of a mesh of (rows, cols).
     between : {"cubic", "linear"}
-        ``"linear"`` is four times as fast and enough for what varies little from node to node.
+        ``"linear"`` is three times as fast and enough for what varies little from node to node.
 
     Returns
     -------

@@ -159,9 +159,10 @@ def column_step(
     if step > 1 and step * pitch > _WIDEST_UM:
         widest_step = max(int(_WIDEST_UM / pitch), 1)
         needed = bytes_to_map(columns / widest_step**2) + PROGRAM_BYTES
+        columns_text = f"{columns:_}".replace("_", " ")
         raise ResourceError(
-            f"The maps of {columns:_} columns need {enough_gb(needed)} GB of memory"
-            f" even with columns of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed."
+            f"The maps of {columns_text} columns need {enough_gb(needed)} GB of memory even"
+            f" with columns of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed."
             " Give more with `memory`, or crop the volume."
         )
     return step

@@ -29,7 +29,7 @@ _LEAST = 1000  # columns
 _SEED = 0  # of what is drawn: a sheet has the same errors whenever it is read
 _PLACE = 4.0  # standard deviation of a place with a grey of its own, in columns
 _LEAST_AIR = 6  # voxels of air that show its noise
-_BLURS = 8.0  # beyond the faces that are expected, within which all lies that a fit looks at
+_BLURS = 8.0  # widths of the blur beyond the expected faces: no fit looks farther
 
 
 def fit_errors(columns: Columns, guide: Guide, priors: Priors) -> dict[bool, Floats]:
